@@ -44,8 +44,8 @@ setup(
         'Topic :: Scientific/Engineering', 'Topic :: System :: Hardware'],
     python_requires='>=3.10',
     packages=find_packages(include=[
-        'msg_defs', NAME, 'vel2d_bridge*', 'dxl_monitor*', 'mecarover_dashboard',
-        'mecarover_fakes.demo', 'mecarover_fakes', 'mecarover_feed']),
+        'msg_defs', 'servobus*', NAME, 'vel2d_bridge', 'dxl_monitor', 'mecarover_dashboard',
+        'mecarover_fakes*']),
     package_data={'servobus.model': ['files/*.yaml'],
                   'mecarover_fakes': ['factory.yaml'],
                   'servobus.tools.doctor': ['errors.yaml'],

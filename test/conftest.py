@@ -63,6 +63,9 @@ def pytest_configure(config):
         'ROS_PYTHON_CHECK_FIELDS': '1',
         'RCUTILS_COLORIZED_OUTPUT': '0',
         'FASTRTPS_DEFAULT_PROFILES_FILE': str(Path(__file__).with_name('fast_discovery.xml')),
+        # Processes that tests start find rigs, fuzz and benchmark, too.
+        'PYTHONPATH': os.pathsep.join(filter(None, (str(Path(__file__).parent),
+                                                    os.environ.get('PYTHONPATH')))),
     })
     os.environ.pop('ROS_LOCALHOST_ONLY', None)
     LOG.addHandler(Raise())

@@ -219,5 +219,6 @@ def test_fewer_than_an_eighth_of_the_known_bits_are_wrong(turned, is_known):
 def test_it_is_as_in_the_baseline():
     kind = 'two with one ID, same delay'
     cells = baseline.FAMILIES['damage'][kind]()
-    assert cells == baseline.saved_of('damage')[kind], 'run: scripts/python -m benchmark.baseline --write'
+    assert cells == baseline.saved_of('damage')[kind], \
+        'run: scripts/python -m benchmark.baseline --write'
     assert 'wrong' not in cells[3]

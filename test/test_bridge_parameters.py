@@ -278,8 +278,8 @@ def test_mistakes_that_end_it(mcu, options, code, line):
 
 def test_a_baud_that_the_port_refuses(ros):
     """As an adapter does that has a ceiling; a pty takes every rate, so the driver is patched."""
-    script = ('import sys; from servobus.port import serial_port as port; from vel2d_bridge import main\n'
-              'port._BAUD_TOLERANCE = -1\nsys.exit(main.main())')
+    script = ('import sys; from servobus.port import serial_port; from vel2d_bridge import main\n'
+              'serial_port._BAUD_TOLERANCE = -1\nsys.exit(main.main())')
     with Pty() as pty, bridge(pty, script=script, baud=4_000_000) as running:
         assert running.exit_code() == 1
     assert running.said(f'{pty.path}: the driver sets')

@@ -45,7 +45,7 @@ BUS = ('--dialect', 'feetech', '--devices', ARM)
 NO_ROS = """
 import sys
 sys.modules['rclpy'] = None
-from mecarover_feed.{tool} import main
+from mecarover_dashboard.{tool} import main
 sys.exit(main())
 """
 LEADER = """

@@ -61,7 +61,7 @@ def test_ros2_run_finds_and_starts(prefix, tool):
 
 
 def test_models_are_installed(prefix):
-    [models] = prefix.glob('lib/python*/site-packages/dxl_monitor/model/files')
+    [models] = prefix.glob('lib/python*/site-packages/servobus/model/files')
     assert {path.name for path in models.glob('*.yaml')} \
         == {path.name for path in (ROOT / 'servobus/model/files').glob('*.yaml')} != set()
 
@@ -91,9 +91,8 @@ def test_package_xml_names_what_is_imported():
     assert package.get('format') == '3'
 
 
-@pytest.mark.parametrize('package', ['msg_defs', NAME, 'vel2d_bridge', 'dxl_monitor',
-                                     'mecarover_dashboard', 'mecarover_fakes.demo',
-                                     'mecarover_fakes', 'mecarover_feed', 'launch'])
+@pytest.mark.parametrize('package', ['msg_defs', 'servobus', NAME, 'vel2d_bridge', 'dxl_monitor',
+                                     'mecarover_dashboard', 'mecarover_fakes', 'launch'])
 def test_no_text_for_a_user_points_to_what_is_not_installed(package):
     """The documents and deploy/ stay in the repository; docstrings and comments may name them."""
     found = set()

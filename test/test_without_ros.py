@@ -29,7 +29,7 @@ import_as_usual = builtins.__import__
 def import_ours(name, globals=None, locals=None, fromlist=(), level=0):
     importer = (globals or {{}}).get('__name__', '').partition('.')[0]
     if name.partition('.')[0] in refused and importer in (
-            '__main__', 'msg_defs', 'mecarover_serial', 'dxl_monitor'):
+            '__main__', 'msg_defs', 'servobus'):
         raise ImportError(f'there is no {{name}} here')
     return import_as_usual(name, globals, locals, fromlist, level)
 

@@ -3,9 +3,11 @@
 """
 What the doctor says of every simulated case: test/baseline/doctor.tsv, which tests compare.
 
-    scripts/python -m benchmark.baseline [WORD ...]   play all, or the cases with a WORD in their name;
-                                              exit code 1 where the file says something else
-    scripts/python -m benchmark.baseline --write      bring it up to date, and the other files there
+    scripts/python -m benchmark.baseline [WORD ...]
+        play all, or the cases with a WORD in their name; exit code 1 where the file says
+        something else
+    scripts/python -m benchmark.baseline --write
+        bring it up to date, and the other files there
 
 A row has the family, the case, the expected findings, the findings, the seconds until the expected
 one came first, and the verdict (rigs/bus/score.py). docs/doctor_results.md explains the families.
@@ -36,7 +38,7 @@ from servobus.tools.doctor import explain
 from servobus.tools.doctor.examination import TRAFFIC_S
 from servobus.tools.doctor.finding_log import FindingLog
 
-FOLDER = Path(__file__).resolve().parents[1] / 'test' / 'baseline'
+FOLDER = Path(__file__).resolve().parents[1] / 'baseline'
 DOCTOR = FOLDER / 'doctor.tsv'
 VERDICTS = (score.RIGHT, score.VAGUE, score.SILENT, score.WRONG)
 

@@ -4,8 +4,8 @@
 What damage looks like bit by bit, on lines that are simulated at bit level.
 
 Each run is one kind of bad line, with its figures drawn from the seed, under one program; what the
-doctor adds as "looks like" at the end is counted. `scripts/python -m benchmark.baseline` does so with the
-seeds below. The equipment (rigs/bus/uart.py) shares nothing with what it judges.
+doctor adds as "looks like" at the end is counted. `scripts/python -m benchmark.baseline` does so
+with the seeds below. The equipment (rigs/bus/uart.py) shares nothing with what it judges.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-scripts/python -m fuzz.firmware --bytes N: the receiver of firmware/ and its reader in Python, on one line.
+The receiver of firmware/ and its reader in Python, on one line.
+
+usage: scripts/python -m fuzz.firmware --bytes N
 
 The C source runs with sanitizers (rigs/mcu/host.c); the other is GuardedReceiver. They hear
 frames that are good, damaged, cut, joined, of another CRC, or not allowed, and noise, with pauses.

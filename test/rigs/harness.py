@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 from mecarover_serial.ros_domain import BENCHMARKS
 
-REPOSITORY = Path(__file__).resolve().parents[1]
+REPOSITORY = Path(__file__).resolve().parents[2]
 _TICKS = os.sysconf('SC_CLK_TCK')
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import shutil
 import subprocess
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 def copy_source(target):

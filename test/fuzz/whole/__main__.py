@@ -1,7 +1,9 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-scripts/python -m fuzz.whole --seconds N: bytes of any source through the whole program, with its time.
+Bytes of any source through the whole program, with its time.
+
+usage: scripts/python -m fuzz.whole --seconds N
 
 A case goes through the node (listener, monitor, doctor, recorder, its timers, all that it
 publishes), through the dashboard that hears the node, and, as a file, through two of the tools;
@@ -27,7 +29,7 @@ from fuzz.whole.tools import RUNS
 from fuzz.whole.tools import through_tools
 from fuzz.whole.traffic import case_of
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 TRIES = 60                         # to make a case smaller
 CASES_AT_ONCE = 100                # between two collections of garbage: a fifth faster
 

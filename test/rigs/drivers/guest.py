@@ -29,7 +29,7 @@ MOST_POLL_S = 1.0               # each look costs an emulated processor somethin
 HELD_UP = 8                     # a program in the guest may take so many times its time-out
 SHARED = '/run/shared'          # where the guest sees the folder of this run
 SOURCE = f'{SHARED}/source'     # and this clone in it
-INSIDE = f'{SOURCE}/rigs/drivers/inside'
+INSIDE = f'{SOURCE}/test/rigs/drivers/inside'
 PATH = f'{VENV}/bin:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin'
 KERNEL_LINE = 'root=/dev/vda rw console=ttyS0 quiet net.ifnames=0'
 # Emulated, a processor without what makes the kernel load modules and walk tables of five levels;
