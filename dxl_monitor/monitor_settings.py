@@ -11,14 +11,14 @@ from typing import Any
 from typing import NamedTuple
 
 from mecarover_serial.parameters import Parameter
-from mecarover_serial.parameters import ParameterError
-from mecarover_serial.parameters import refuse_twice
 from mecarover_serial.parameters import TIMING_PARAMETER
 from servobus.bus.decoder import PROTOCOLS
 from servobus.bus.decoder import Settings
 from servobus.bus.expected import Expected
 from servobus.bus.expected import parse_all
+from servobus.bus.expected import refuse_twice
 from servobus.bus.expected import split_bus
+from servobus.errors import ParameterError
 from servobus.model.checked_yaml import ModelError
 from servobus.model.models import Models
 from servobus.sources.capture import Wire

@@ -9,6 +9,7 @@ import time
 
 from dxl_monitor.monitor_settings import Bus
 from msg_defs.event import Change
+from msg_defs.event import Chunk
 from msg_defs.event import UNKNOWN
 from msg_defs.reports import Pairs
 from msg_defs.reports import pairs
@@ -18,7 +19,6 @@ from servobus.doctor.case import PARAMETERS
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 from servobus.port.inspection import Inspection
-from servobus.sources.capture import Chunk
 from servobus.sources.capture import Wire
 from servobus.sources.driver import adapter
 from servobus.sources.listener import TAKE_EVERY_S

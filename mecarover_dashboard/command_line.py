@@ -12,8 +12,8 @@ from mecarover_dashboard.recording_run import RecordingRun
 from mecarover_dashboard.source_run import PortsRun
 from mecarover_dashboard.source_run import ProgramRun
 from mecarover_dashboard.source_run import SourceRun
+from servobus.errors import UsageError
 from servobus.sources.opening import is_port
-from servobus.tools.cli import UsageError
 
 
 def is_of_ros(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> bool:

@@ -15,10 +15,10 @@ from mecarover_dashboard.command_line import make_run
 from mecarover_dashboard.feed import conclusion
 from mecarover_dashboard.feed import Feed
 from mecarover_dashboard.recording_run import RecordingRun
+from servobus.errors import UsageError
 from servobus.tools.cli import COULD_NOT_RUN
 from servobus.tools.cli import DONE
 from servobus.tools.cli import run_tool
-from servobus.tools.cli import UsageError
 from servobus.tools.run import add_bus_options
 from servobus.tools.run import parse_run
 from servobus.tools.run import RUN

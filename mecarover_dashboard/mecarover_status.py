@@ -14,8 +14,8 @@ from mecarover_dashboard.command_line import make_run
 from mecarover_dashboard.feed import conclusion
 from mecarover_dashboard.feed import Feed
 from mecarover_dashboard.state import State
+from servobus.errors import UsageError
 from servobus.tools.cli import run_tool
-from servobus.tools.cli import UsageError
 from servobus.tools.run import add_bus_options
 from servobus.tools.run import refuse_run
 

@@ -29,15 +29,15 @@ from mecarover_fakes.traffic import PATTERNS
 from mecarover_fakes.usb_adapter import FAMILIES
 from mecarover_fakes.values import Sine
 from mecarover_fakes.virtual_usb import VirtualUsb
-from mecarover_serial.parameters import ParameterError
 from msg_defs.dxl1_instruction import DYNAMIXEL_1
 from msg_defs.dxl1_instruction import FEETECH
 from servobus.bus.expected import parse_all
+from servobus.errors import ParameterError
+from servobus.errors import UsageError
 from servobus.model.models import Models
 from servobus.port.pty import outlive
 from servobus.port.pty import parse_away
 from servobus.tools.cli import run_tool
-from servobus.tools.cli import UsageError
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
 

@@ -8,7 +8,6 @@ anything once checks are off; so values are converted and checked here, without 
 """
 from __future__ import annotations
 
-from collections.abc import Iterable
 from collections.abc import Sequence
 from contextlib import suppress
 import difflib
@@ -20,12 +19,9 @@ from typing import NamedTuple
 from msg_defs.reports import HEADLINE
 from msg_defs.reports import number
 from msg_defs.reports import TIMING_TOPICS
+from servobus.errors import ParameterError
 
 _OF_RCLPY = ('use_sim_time', 'start_type_description_service')
-
-
-class ParameterError(Exception):
-    """A value that a parameter cannot have: 'name: reason; remedy'."""
 
 
 class Parameter(NamedTuple):
@@ -138,15 +134,6 @@ def _parsed(text: str) -> Any:
     with suppress(yaml.YAMLError):
         return yaml.safe_load(text)
     return text
-
-
-def refuse_twice(thing: str, values: Iterable[object]) -> None:
-    """Raise ParameterError for the first value that is there already; 'NAME:' or 'NAME: part'."""
-    seen: set[object] = set()
-    for value in values:
-        if value in seen:
-            raise ParameterError(f'{thing} {value} is given twice; give it once')
-        seen.add(value)
 
 
 def _scalar(parameter: Parameter, wanted: type, raw: Any) -> Any:

@@ -47,7 +47,6 @@ from mecarover_serial.namesakes import DISCOVERED_NS
 from mecarover_serial.namesakes import Namesakes
 from mecarover_serial.parameters import convert
 from mecarover_serial.parameters import Parameter
-from mecarover_serial.parameters import ParameterError
 from mecarover_serial.parameters import settings_files
 from mecarover_serial.parameters import typed
 from mecarover_serial.parameters import unknown
@@ -55,6 +54,7 @@ from mecarover_serial.settings_file import check
 from mecarover_serial.settings_file import SettingsError
 from mecarover_serial.standard_streams import StandardStreams
 from mecarover_serial.systemd import Systemd
+from servobus.errors import ParameterError
 from servobus.plain import printable
 from servobus.port.port_error import PortError
 from servobus.tools.cli import COULD_NOT_RUN

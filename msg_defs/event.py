@@ -41,3 +41,17 @@ class Change(NamedTuple):
 
 
 Changes = list[Change]
+
+
+class Chunk(NamedTuple):
+    """
+    Bytes that were read at once; stamp: when, monotonic ns.
+
+    side: who put them on the wire, UNKNOWN, OUT or IN. Where there is a change there are no bytes.
+    """
+
+    stamp: int
+    bus: str
+    data: bytes = b''
+    side: str = UNKNOWN
+    change: Change | None = None

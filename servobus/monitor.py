@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 from msg_defs.event import BREAK
 from msg_defs.event import Change
+from msg_defs.event import Chunk
 from msg_defs.event import CLOSED
 from msg_defs.event import FRAMING
 from msg_defs.event import OUT
@@ -37,6 +38,7 @@ from servobus.bus.plan import Plan
 from servobus.bus.report import BusReport
 from servobus.bus.report import Cycle
 from servobus.bus.report import DeviceReport
+from servobus.bus.report import LineErrors
 from servobus.doctor import Doctor
 from servobus.doctor.case import Names
 from servobus.doctor.case import PARAMETERS
@@ -50,8 +52,6 @@ from servobus.model.layout import Layouts
 from servobus.model.layout import NOWHERE
 from servobus.model.models import Models
 from servobus.signals import BusSignals
-from servobus.sources.capture import Chunk
-from servobus.sources.driver import LineErrors
 
 _LINE_ERRORS = {OVERRUN: 'overrun', PARITY: 'parity', FRAMING: 'frame', BREAK: 'breaks'}
 WINDOW_S = 10

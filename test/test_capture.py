@@ -11,12 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 import pytest
 
-from mecarover_serial.parameters import ParameterError
 from msg_defs.event import Change
+from msg_defs.event import Chunk
+from servobus.errors import ParameterError
 from servobus.plain import printable
 from servobus.port.pty import Pty
 from servobus.sources.capture import BUSES_LIMIT
-from servobus.sources.capture import Chunk
 from servobus.sources.capture import chunk_line
 from servobus.sources.capture import LINE_LIMIT
 from servobus.sources.capture import lines

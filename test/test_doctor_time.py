@@ -27,6 +27,7 @@ from rigs.tables import rows_of
 from servobus.bus import evidence as ev
 from servobus.bus import report as words
 from servobus.bus.report import Counts
+from servobus.bus.report import LineErrors
 from servobus.bus.report import Wait
 from servobus.doctor.case import History
 from servobus.doctor.case import is_waiting
@@ -47,7 +48,6 @@ from servobus.doctor.rule import listed
 from servobus.doctor.rule import longer_than
 from servobus.doctor.rule import share
 from servobus.doctor.two_timers import PeriodicTimer
-from servobus.sources.driver import LineErrors
 
 
 def waits(count, us, ago_s=0.0, spoilt=False):

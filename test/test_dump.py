@@ -36,9 +36,9 @@ from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import STATUS
+from msg_defs.event import Chunk
 from servobus.model.models import Models
 from servobus.port.pty import Pty
-from servobus.sources.capture import Chunk
 from servobus.sources.capture import Moment
 from servobus.sources.capture import Reader
 from servobus.sources.capture import Wire

@@ -31,12 +31,12 @@ from mecarover_fakes.line import Line
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
 from msg_defs import dxl1_packet
+from msg_defs.event import Chunk
 from msg_defs.uart import byte_ns
 from msg_defs.uart import heard_at
 from servobus.doctor import RULES
 from servobus.model.models import Models
 from servobus.port.pty import Pty
-from servobus.sources.capture import Chunk
 from servobus.sources.capture import Moment
 from servobus.sources.capture import Reader
 from servobus.sources.capture import Wire

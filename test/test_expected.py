@@ -4,11 +4,11 @@
 
 import pytest
 
-from mecarover_serial.parameters import ParameterError
 from servobus.bus.expected import Expected
 from servobus.bus.expected import parse
 from servobus.bus.expected import parse_all
 from servobus.bus.expected import split_bus
+from servobus.errors import ParameterError
 
 
 @pytest.mark.parametrize(('text', 'devices'), [

@@ -30,11 +30,11 @@ from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
 from mecarover_fakes.virtual_uart import CAPACITY
 from mecarover_fakes.virtual_uart import VirtualUart
-from mecarover_serial.parameters import ParameterError
 from msg_defs.dxl_instruction import KINDS as INSTRUCTIONS
 from msg_defs.dxl_packet import Framer
 from msg_defs.uart import heard_at
 from servobus.bus.decoder import Settings
+from servobus.errors import ParameterError
 from servobus.model.control_table import STRUCTS
 from servobus.model.models import Models
 from servobus.monitor import Monitor

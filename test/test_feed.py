@@ -33,8 +33,8 @@ from mecarover_fakes.fake_bus import make_line
 from mecarover_fakes.faults import parse
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
+from msg_defs.event import Chunk
 from servobus.monitor import Monitor
-from servobus.sources.capture import Chunk
 from servobus.sources.capture import Moment
 from servobus.sources.capture import Wire
 from servobus.sources.capture import Writer

@@ -7,16 +7,16 @@ from types import SimpleNamespace
 from harness import wait
 import pytest
 
-from mecarover_serial.parameters import ParameterError
 from msg_defs.event import Change
+from msg_defs.event import Chunk
 from msg_defs.reports import Level
 from rigs.bus.scene import SECONDS
 from rigs.bus.scenes import BROKEN
 from rigs.bus.score import BOOT
 from rigs.bus.score import SEED
 from servobus.bus.report import DISCONNECTED
+from servobus.errors import ParameterError
 from servobus.model.models import Models
-from servobus.sources.capture import Chunk
 from servobus.sources.capture import Moment
 from servobus.sources.capture import Wire
 from servobus.sources.flight_recorder import FlightRecorder

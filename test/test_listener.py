@@ -13,11 +13,11 @@ from harness import wait
 import pytest
 from terminal_server import TerminalServer
 
+from servobus.bus.report import LineErrors
 from servobus.port.pty import Pty
 from servobus.sources.driver import adapter
 from servobus.sources.driver import latency_timer_ms
 from servobus.sources.driver import line_errors
-from servobus.sources.driver import LineErrors
 from servobus.sources.driver import set_low_latency
 from servobus.sources.listener import Listener
 

@@ -40,6 +40,7 @@ from rigs.usb_pcap import cut
 from rigs.usb_pcap import MMAPPED
 from rigs.usb_pcap import pcap
 from servobus.bus.expected import parse_all
+from servobus.errors import UsageError
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 from servobus.monitor import Settings
@@ -55,7 +56,6 @@ from servobus.sources.usb_port import Place
 from servobus.sources.usb_port import UsbPort
 from servobus.sources.usb_ring import HEADER_SIZE
 from servobus.sources.usb_ring import kept_of
-from servobus.tools.cli import UsageError
 from servobus.tools.start_program import environment
 
 MODELS = Models()

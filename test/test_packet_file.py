@@ -15,13 +15,13 @@ from usb_files import tshark
 
 from msg_defs.dxl_packet import Framer
 from msg_defs.event import Change
+from msg_defs.event import Chunk
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.frame import IS_STATUS
 from msg_defs.uart import byte_ns
 from rigs.usb_pcap import MMAPPED
 from rigs.usb_pcap import pcapng
-from servobus.sources.capture import Chunk
 from servobus.sources.capture import Moment
 from servobus.sources.capture import Wire
 from servobus.sources.capture import Writer

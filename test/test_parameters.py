@@ -9,10 +9,10 @@ import pytest
 
 from mecarover_serial.parameters import convert
 from mecarover_serial.parameters import Parameter
-from mecarover_serial.parameters import ParameterError
-from mecarover_serial.parameters import refuse_twice
 from mecarover_serial.parameters import typed
 from mecarover_serial.parameters import unknown
+from servobus.bus.expected import refuse_twice
+from servobus.errors import ParameterError
 
 TIMEOUT = Parameter('cmd_vel_timeout', 0.5, 'time-out', 's', 0.05, 10.0, or_zero=True)
 BAUD = Parameter('baud', 115200, 'rate', 'bit/s', 1200)

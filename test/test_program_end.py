@@ -12,6 +12,7 @@ import pytest
 from msg_defs.dxl1_packet import encode
 from msg_defs.event import BAUD
 from msg_defs.event import Change
+from msg_defs.event import Chunk
 from msg_defs.event import CLOSED
 from msg_defs.event import IN
 from msg_defs.event import OUT
@@ -24,7 +25,6 @@ from servobus.bus.report import RAISED
 from servobus.bus.report import ROBBER
 from servobus.model.models import Models
 from servobus.sources import tap_sender as sent
-from servobus.sources.capture import Chunk
 from servobus.sources.capture import Wire
 from servobus.sources.tap_reader import TapRecord
 from servobus.tools.doctor.examination import Examination

@@ -16,10 +16,10 @@ from mecarover_fakes.faults import parse
 from mecarover_fakes.line import Line
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
+from msg_defs.event import Chunk
 from servobus.bus.decoder import Settings
 from servobus.model.models import Models
 from servobus.monitor import Monitor
-from servobus.sources.capture import Chunk
 from servobus.sources.capture import Moment
 from servobus.sources.capture import Reader
 from servobus.sources.capture import Wire

@@ -27,6 +27,7 @@ from mecarover_dashboard.state import OVERVIEW
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
+from msg_defs.event import Chunk
 from msg_defs.reports import Level
 from msg_defs.reports import Status
 from servobus.plain import plain
@@ -34,7 +35,6 @@ from servobus.plain import printable
 from servobus.port.port_error import PortError
 from servobus.port.port_error import Reason
 from servobus.sources import tap_sender
-from servobus.sources.capture import Chunk
 from servobus.sources.capture import Moment
 from servobus.sources.capture import Wire
 from servobus.sources.capture import Writer

@@ -8,9 +8,9 @@ import os
 from typing import Any
 
 from mecarover_serial.parameters import Parameter
-from mecarover_serial.parameters import ParameterError
 from mecarover_serial.parameters import TIMING_PARAMETER
 from msg_defs.crc import CRC_INPUTS
+from servobus.errors import ParameterError
 from vel2d_bridge.gate import GateSettings
 
 SLOWEST_BAUD = 19200            # slower, a frame takes so long that the stated bounds do not hold

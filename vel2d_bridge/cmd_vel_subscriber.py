@@ -25,9 +25,9 @@ from rclpy.qos import ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from mecarover_serial.namesakes import node_name
-from mecarover_serial.parameters import ParameterError
 from mecarover_serial.ros_node import first_line
 from mecarover_serial.ros_node import given
+from servobus.errors import ParameterError
 from vel2d_bridge.bridge_settings import TWIST
 from vel2d_bridge.bridge_settings import TWIST_STAMPED
 from vel2d_bridge.graph import Absence

@@ -13,8 +13,7 @@ from collections.abc import Iterable
 import re
 from typing import NamedTuple
 
-from mecarover_serial.parameters import ParameterError
-from mecarover_serial.parameters import refuse_twice
+from servobus.errors import ParameterError
 
 MAX_ID = 252                       # in Protocol 2.0
 MAX_ID_1 = 253                     # in the 1.0 family
@@ -48,6 +47,15 @@ def parse_all(entries: Iterable[str]) -> list[Expected]:
     refuse_twice('devices: ID', [device.id for device in devices])
     refuse_twice('devices: joint', [device.joint for device in devices if device.joint])
     return devices
+
+
+def refuse_twice(thing: str, values: Iterable[object]) -> None:
+    """Raise ParameterError for the first value that is there already; 'NAME:' or 'NAME: part'."""
+    seen: set[object] = set()
+    for value in values:
+        if value in seen:
+            raise ParameterError(f'{thing} {value} is given twice; give it once')
+        seen.add(value)
 
 
 def _parse_entry(entry: str) -> list[Expected]:

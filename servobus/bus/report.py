@@ -26,7 +26,6 @@ from msg_defs.reports import Metric
 from msg_defs.timing import Summary
 from servobus.bus.table import Observed
 from servobus.model.control_table import Model
-from servobus.sources.driver import LineErrors
 
 PROTOCOL_2 = 'Dynamixel 2.0'       # besides the names of the dialects of the 1.0 family
 
@@ -247,6 +246,23 @@ class CycleTimes(NamedTuple):
     unknown: str = ''
     asleep: float = 0.0
     busy: float | None = None
+
+
+class LineErrors(NamedTuple):
+    """Errors that the driver counted on the line since the port was first opened."""
+
+    overrun: int = 0             # the UART's FIFO was full
+    buf_overrun: int = 0         # the kernel's buffer was full: we were too late
+    frame: int = 0
+    parity: int = 0
+    breaks: int = 0
+
+    def __add__(self, other: tuple[int, ...]) -> LineErrors:  # type: ignore[override]
+        return LineErrors(*(mine + its for mine, its in zip(self, other, strict=True)))
+
+    def since(self, begin: LineErrors) -> LineErrors:
+        """Return what came on top of `begin`."""
+        return LineErrors(*(max(0, now - then) for now, then in zip(self, begin, strict=True)))
 
 
 class BusReport(NamedTuple):

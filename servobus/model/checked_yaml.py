@@ -20,6 +20,7 @@ from typing import Any
 
 import yaml
 
+from servobus.errors import ServobusError
 from servobus.plain import printable
 
 BUILT_IN = Path(__file__).with_name('files')
@@ -33,7 +34,7 @@ NUMBER_END = 1e100           # beyond every register, and not infinite as a floa
 Raw = dict[str, Any]               # what a file says of one thing, by key
 
 
-class ModelError(Exception):
+class ModelError(ServobusError):
     """A model file that cannot be used: 'file: field: reason; remedy' in one line."""
 
     def __init__(self, file: str | Path, field: str, reason: str, remedy: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from servobus.errors import ServobusError
 from servobus.plain import printable
 
 
@@ -16,7 +17,7 @@ class Reason(NamedTuple):
     remedy: str
 
 
-class PortError(Exception):
+class PortError(ServobusError):
     """A port that cannot be used: `str()` is one line, 'thing: reason; remedy'."""
 
     def __init__(self, thing: str, reason: Reason) -> None:

@@ -18,8 +18,8 @@ import time
 import tty
 from typing import NamedTuple
 
+from servobus.errors import UsageError
 from servobus.port.port_users import holders
-from servobus.tools.cli import UsageError
 
 _OUTLIVE_S = 4.0                # launch kills what has not ended after 5 s
 _LOOK_S = 0.05

@@ -29,12 +29,13 @@ from typing import NamedTuple
 from urllib.parse import quote
 from urllib.parse import unquote
 
-from mecarover_serial.parameters import ParameterError
 from msg_defs.event import Change
 from msg_defs.event import CHANGES
+from msg_defs.event import Chunk
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
+from servobus.errors import ParameterError
 from servobus.plain import printable
 
 MAGIC = b'# dxl_capture '            # a number follows: 1 is 2 without sides and changes
@@ -64,20 +65,6 @@ class Wire(NamedTuple):
     baud: int
     latency_timer_ms: int = 0
     port: str = ''
-
-
-class Chunk(NamedTuple):
-    """
-    Bytes that were read at once; stamp: when, monotonic ns.
-
-    side: who put them on the wire (msg_defs/event.py). Where there is a change there are no bytes.
-    """
-
-    stamp: int
-    bus: str
-    data: bytes = b''
-    side: str = UNKNOWN
-    change: Change | None = None
 
 
 class Moment(NamedTuple):

@@ -15,9 +15,9 @@ import sys
 import threading
 import time
 
-from mecarover_serial.parameters import ParameterError
+from msg_defs.event import Chunk
+from servobus.errors import ParameterError
 from servobus.sources.capture import check_new
-from servobus.sources.capture import Chunk
 from servobus.sources.capture import ENDED
 from servobus.sources.capture import Moment
 from servobus.sources.capture import open_new

@@ -13,9 +13,9 @@ import array
 from contextlib import suppress
 import os
 from pathlib import Path
-from typing import NamedTuple
 
 from msg_defs.reports import Pairs
+from servobus.bus.report import LineErrors
 from servobus.port.port_users import tty_of
 
 TIOCGSERIAL = 0x541E
@@ -26,23 +26,6 @@ _FLAGS = 4                       # struct serial_struct, in ints
 _SERIAL_STRUCT_INTS = 32
 _ICOUNT_INTS = 20                # cts dsr rng dcd rx tx frame overrun parity brk buf_overrun ...
 SYS = Path('/sys')
-
-
-class LineErrors(NamedTuple):
-    """Errors that the driver counted on the line since the port was first opened."""
-
-    overrun: int = 0             # the UART's FIFO was full
-    buf_overrun: int = 0         # the kernel's buffer was full: we were too late
-    frame: int = 0
-    parity: int = 0
-    breaks: int = 0
-
-    def __add__(self, other: tuple[int, ...]) -> LineErrors:  # type: ignore[override]
-        return LineErrors(*(mine + its for mine, its in zip(self, other, strict=True)))
-
-    def since(self, begin: LineErrors) -> LineErrors:
-        """Return what came on top of `begin`."""
-        return LineErrors(*(max(0, now - then) for now, then in zip(self, begin, strict=True)))
 
 
 def line_errors(fd: int) -> LineErrors | None:

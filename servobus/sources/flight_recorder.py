@@ -20,12 +20,12 @@ import stat
 import sys
 import threading
 
-from mecarover_serial.parameters import ParameterError
+from msg_defs.event import Chunk
 from msg_defs.reports import Level
 from servobus.bus.report import BusReport
 from servobus.bus.report import DISCONNECTED
+from servobus.errors import ParameterError
 from servobus.plain import printable
-from servobus.sources.capture import Chunk
 from servobus.sources.capture import Moment
 from servobus.sources.capture import seconds
 from servobus.sources.capture import Wire

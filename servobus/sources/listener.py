@@ -26,6 +26,7 @@ from msg_defs.event import Change
 from msg_defs.event import UNKNOWN
 from msg_defs.uart import byte_ns
 from msg_defs.uart import idle_s
+from servobus.bus.report import LineErrors
 from servobus.port.port_error import PortError
 from servobus.port.port_error import Reason
 from servobus.port.readable import readable
@@ -36,7 +37,6 @@ from servobus.port.serial_port import Port
 from servobus.sources import reader
 from servobus.sources.driver import latency_timer_ms
 from servobus.sources.driver import line_errors
-from servobus.sources.driver import LineErrors
 from servobus.sources.driver import set_low_latency
 from servobus.sources.reader_process import ReaderProcess
 from servobus.sources.reader_process import Record

@@ -11,8 +11,8 @@ import time
 
 from msg_defs.event import BAUD
 from msg_defs.event import Change
+from msg_defs.event import Chunk
 from msg_defs.event import UNKNOWN
-from servobus.sources.capture import Chunk
 from servobus.sources.capture import Wire
 from servobus.sources.capture_recorder import moment
 from servobus.sources.listener import STARTING

@@ -18,6 +18,7 @@ import stat
 import sys
 from typing import Any
 
+from servobus.errors import UsageError
 from servobus.port.port_error import PortError
 from servobus.port.preflight import why_not
 from servobus.sources.capture import MAGIC
@@ -31,7 +32,6 @@ from servobus.sources.source_name import is_live
 from servobus.sources.usb_events import is_usb
 from servobus.sources.usb_events import may_be_usb
 from servobus.sources.usb_source import UsbFile
-from servobus.tools.cli import UsageError
 
 HEAD_SIZE = 64
 REPORT = '# dxl_doctor report'         # how a report of dxl_doctor begins

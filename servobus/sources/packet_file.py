@@ -18,12 +18,12 @@ from typing import BinaryIO
 
 from msg_defs.event import Change
 from msg_defs.event import CHANGES
+from msg_defs.event import Chunk
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
 from msg_defs.uart import byte_ns
 from servobus.sources.capture import BAUD_LIMIT
-from servobus.sources.capture import Chunk
 from servobus.sources.capture import DIGITS_LIMIT
 from servobus.sources.capture import Moment
 from servobus.sources.capture import Wire

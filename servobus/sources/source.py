@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from io import BufferedReader
 import os
 
-from servobus.sources.capture import Chunk
+from msg_defs.event import Chunk
 from servobus.sources.capture import lines
 from servobus.sources.capture import Moment
 from servobus.sources.capture import Reader

@@ -11,7 +11,8 @@ from tempfile import TemporaryFile
 from typing import cast
 
 from msg_defs.event import BAUD
-from servobus.sources.capture import Chunk
+from msg_defs.event import Chunk
+from servobus.errors import UsageError
 from servobus.sources.capture import Moment
 from servobus.sources.capture import STAMP_END
 from servobus.sources.capture import Wire
@@ -20,7 +21,6 @@ from servobus.sources.usb_events import UsbEvents
 from servobus.sources.usb_port import UsbPort
 from servobus.sources.usb_survey import Found
 from servobus.sources.usb_survey import Survey
-from servobus.tools.cli import UsageError
 
 
 class UsbFile(File):

@@ -22,8 +22,9 @@ from types import FrameType
 from typing import TextIO
 
 from mecarover_serial.parameters import Parameter
-from mecarover_serial.parameters import ParameterError
 from mecarover_serial.parameters import split_ros_args
+from servobus.errors import ParameterError
+from servobus.errors import UsageError
 from servobus.plain import plain_streams
 from servobus.plain import printable
 from servobus.port.port_error import PortError
@@ -36,10 +37,6 @@ NARROWEST, WIDEST = 30, 99      # columns of a help text
 FILES_LEAST = 64                # a node has 31 open
 ENDING = tuple(getattr(signal, name) for name in ('SIGINT', 'SIGTERM', 'SIGHUP', 'SIGQUIT')
                if hasattr(signal, name))       # Windows has two of them
-
-
-class UsageError(Exception):
-    """A command line that makes no sense: 'thing: reason; remedy'."""
 
 
 def run_tool(tool: str, main: Callable[[list[str]], int | None]) -> int:

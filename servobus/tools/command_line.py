@@ -9,8 +9,8 @@ import math
 from typing import Any
 from typing import NoReturn
 
+from servobus.errors import UsageError
 from servobus.plain import printable
-from servobus.tools.cli import UsageError
 from servobus.tools.cli import wrapped
 from servobus.tools.version import version_of
 

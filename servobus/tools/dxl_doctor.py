@@ -15,9 +15,10 @@ import sys
 import time
 from typing import Any
 
-from mecarover_serial.parameters import ParameterError
 from servobus.bus.decoder import DEFAULTS
 from servobus.bus.decoder import PROTOCOLS
+from servobus.errors import ParameterError
+from servobus.errors import UsageError
 from servobus.model.models import Models
 from servobus.plain import on_screen
 from servobus.plain import plain
@@ -29,7 +30,6 @@ from servobus.sources.source import Source
 from servobus.sources.source_name import DEFAULT_BAUD
 from servobus.tools.cli import DONE
 from servobus.tools.cli import run_tool
-from servobus.tools.cli import UsageError
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
 from servobus.tools.doctor import explain

@@ -11,13 +11,13 @@ from pathlib import Path
 import sys
 
 from msg_defs.dxl_instruction import NAMES
+from servobus.errors import UsageError
 from servobus.model.models import check_models
 from servobus.model.models import model_files
 from servobus.plain import printable
 from servobus.tools.cli import COULD_NOT_RUN
 from servobus.tools.cli import DONE
 from servobus.tools.cli import run_tool
-from servobus.tools.cli import UsageError
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
 from servobus.tools.dump.packet_lines import TIMES

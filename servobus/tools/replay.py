@@ -19,12 +19,13 @@ import time
 from typing import NamedTuple
 from urllib.parse import quote
 
+from msg_defs.event import Chunk
 from msg_defs.event import IN
 from msg_defs.event import OUT
+from servobus.errors import UsageError
 from servobus.plain import printable
 from servobus.port.pty import Pty
 from servobus.port.readable import is_writable
-from servobus.sources.capture import Chunk
 from servobus.sources.capture import is_capture
 from servobus.sources.capture import lines
 from servobus.sources.capture import Reader
@@ -34,7 +35,6 @@ from servobus.sources.source import File
 from servobus.sources.source import RawFile
 from servobus.tools.cli import DONE
 from servobus.tools.cli import run_tool
-from servobus.tools.cli import UsageError
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
 from servobus.tools.run import BAUD

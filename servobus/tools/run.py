@@ -20,10 +20,10 @@ from servobus.bus.decoder import DEFAULTS
 from servobus.bus.decoder import PROTOCOLS
 from servobus.bus.expected import parse_all
 from servobus.bus.expected import split_bus
+from servobus.errors import UsageError
 from servobus.model.models import Models
 from servobus.sources.capture import BAUD_LIMIT
 from servobus.sources.opening import how_to_hear
-from servobus.tools.cli import UsageError
 from servobus.tools.command_line import number
 from servobus.tools.start_program import BY
 from servobus.tools.start_program import WAYS

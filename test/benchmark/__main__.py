@@ -13,8 +13,8 @@ from rigs.harness import as_json
 from rigs.harness import machine
 from rigs.harness import Options
 from rigs.harness import table
+from servobus.errors import UsageError
 from servobus.tools.cli import run_tool
-from servobus.tools.cli import UsageError
 
 # Each is a module with run(options) -> list of figures.
 PLAIN = ('parsing', 'parsing_1', 'doctor', 'usb', 'tap', 'node_cost', 'bridge', 'start_up',

@@ -36,8 +36,8 @@ from benchmark.traffic import packets_1
 from benchmark.traffic import TRACE
 from rigs.harness import machine
 from rigs.harness import REPOSITORY
+from servobus.errors import UsageError
 from servobus.tools.cli import run_tool
-from servobus.tools.cli import UsageError
 
 SIZE = 150_000                     # bytes: a measurement takes 10 to 40 ms
 PAIRS = 100

@@ -7,7 +7,7 @@ import io
 import re
 
 from fuzz.script import Script
-from servobus.sources.capture import Chunk
+from msg_defs.event import Chunk
 from servobus.sources.capture import Moment
 from servobus.sources.capture import Reader
 from servobus.sources.capture import Wire

@@ -16,7 +16,7 @@ import io
 import textwrap
 import zlib
 
-from servobus.sources.capture import Chunk
+from msg_defs.event import Chunk
 from servobus.sources.capture import Moment
 from servobus.sources.capture import Wire
 from servobus.sources.capture import Writer

@@ -14,9 +14,9 @@ import os
 from typing import Any
 from typing import NamedTuple
 
+from servobus.errors import UsageError
 from servobus.plain import printable
 from servobus.sources.opening import REPORT
-from servobus.tools.cli import UsageError
 from servobus.tools.doctor.answer_screen import screen
 from servobus.tools.doctor.error_window import packed
 from servobus.tools.doctor.verdict import as_json

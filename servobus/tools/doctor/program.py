@@ -21,6 +21,7 @@ import time
 from typing import Any
 from typing import NamedTuple
 
+from msg_defs.event import Chunk
 from msg_defs.event import CLOSED
 from msg_defs.event import IN
 from msg_defs.reports import Level
@@ -31,7 +32,6 @@ from servobus.bus.report import ROBBER
 from servobus.plain import printable
 from servobus.port.port_users import holders
 from servobus.port.port_users import is_running
-from servobus.sources.capture import Chunk
 from servobus.sources.capture import Wire
 from servobus.sources.source import Source
 from servobus.sources.tap_reader import TapReader

@@ -22,9 +22,9 @@ from typing import NamedTuple
 import zipfile
 import zlib
 
+from msg_defs.event import Chunk
 from msg_defs.reports import Level
 from servobus.plain import printable
-from servobus.sources.capture import Chunk
 from servobus.sources.capture import lines
 from servobus.sources.capture import Reader
 from servobus.sources.capture import Wire

@@ -22,13 +22,13 @@ from msg_defs.reports import metric_status
 from msg_defs.reports import Status
 from msg_defs.reports import topic_names
 from servobus.bus.report import BusReport
+from servobus.errors import UsageError
 from servobus.monitor import Monitor
 from servobus.sources.capture import Moment
 from servobus.sources.capture import Wire
 from servobus.status import device_metrics
 from servobus.status import PortState
 from servobus.status import statuses_of
-from servobus.tools.cli import UsageError
 
 NODE = 'dxl_monitor'
 REPORT_NS, TIMING_NS = 500_000_000, 1_000_000_000      # as the node does

@@ -20,18 +20,18 @@ import time
 from typing import BinaryIO
 
 from dxl_monitor.monitor_settings import settings_of
+from msg_defs.event import Chunk
 from servobus.bus.report import BusReport
 from servobus.doctor.case import OPTIONS
+from servobus.errors import UsageError
 from servobus.monitor import Monitor
 from servobus.plain import on_screen
 from servobus.plain import printable
 from servobus.sources.capture import check_new
-from servobus.sources.capture import Chunk
 from servobus.sources.capture import open_new
 from servobus.sources.capture import Writer
 from servobus.sources.opening import open_source
 from servobus.sources.packet_file import is_packet_file
-from servobus.tools.cli import UsageError
 from servobus.tools.doctor.no_data import reasons
 from servobus.tools.dump.decode import Interpreter
 from servobus.tools.dump.filter import is_wanted
