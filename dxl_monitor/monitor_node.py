@@ -21,7 +21,6 @@ from std_srvs.srv import Trigger
 
 from dxl_monitor.bus_log import BusLog
 from dxl_monitor.monitor_settings import buses
-from dxl_monitor.monitor_settings import load_models
 from dxl_monitor.monitor_settings import make_recorders
 from dxl_monitor.monitor_settings import PARAMETERS
 from dxl_monitor.monitored_bus import MonitoredBus
@@ -47,6 +46,7 @@ from msg_defs.ros import to_ros_time
 from msg_defs.ros import to_time
 from servobus.bus.report import BusReport
 from servobus.monitor import Monitor
+from servobus.settings import load_models
 from servobus.sources.listener import STARTING
 from servobus.status import device_metrics
 from servobus.status import PortState

@@ -3,7 +3,6 @@
 """The parameters of dxl_monitor, and what they say about each bus."""
 from __future__ import annotations
 
-from collections.abc import Iterable
 from collections.abc import Sequence
 from itertools import chain
 import os
@@ -19,9 +18,8 @@ from servobus.bus.expected import parse_all
 from servobus.bus.expected import refuse_twice
 from servobus.bus.expected import split_bus
 from servobus.errors import ParameterError
-from servobus.model.checked_yaml import ModelError
 from servobus.model.models import Models
-from servobus.sources.capture import Wire
+from servobus.settings import check_models
 from servobus.sources.capture_recorder import Recorder
 from servobus.sources.flight_recorder import FlightRecorder
 from servobus.sources.recorders import Recorders
@@ -74,14 +72,6 @@ class Bus(NamedTuple):
     label: str
     port: str
     settings: Settings
-
-
-def load_models(folders: Sequence[str]) -> Models:
-    """Return built-in and extra models; raise ParameterError for the first file that is wrong."""
-    try:
-        return Models(folders)
-    except ModelError as error:
-        raise ParameterError(f'model_dirs: {error}') from error
 
 
 def make_recorders(values: dict[str, Any]) -> Recorders:
@@ -161,21 +151,3 @@ def _devices_by_bus(entries: Sequence[str], names: Sequence[str]) -> dict[str, l
                                  f'{names[0]}/{rest} (buses: '
                                  f"{', '.join(names)})")
     return {name: parse_all(some) for name, some in texts.items()}
-
-
-def check_models(devices: Iterable[Expected], models: Models) -> None:
-    """Raise ParameterError for a device of a model that does not exist."""
-    for model in {device.model for device in devices if device.model}:
-        if models.by_name(model) is None:
-            near = models.closest(model)
-            remedy = f'did you mean {near}?' if near else (
-                'write it as XL430-W250, MX-64 or STS3215, leave it out, or add a file for it to '
-                'model_dirs')
-            raise ParameterError(f'devices: no model is called {model!r}; {remedy}')
-
-
-def settings_of(bus: str, wire: Wire, devices: Sequence[str], protocol: str) -> Settings:
-    """Return those of a bus that a tool hears; devices: of all buses, as given by --devices."""
-    mine = [rest for of, rest in map(split_bus, devices) if of in ('', bus)]
-    return Settings(baud=wire.baud, devices=tuple(parse_all(mine)), protocol=protocol,
-                    latency_timer_ms=wire.latency_timer_ms)

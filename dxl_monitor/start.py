@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import sys
 
 from dxl_monitor.monitor_settings import PARAMETERS
-from servobus.tools.cli import answer
-from servobus.tools.cli import hold_signals
-from servobus.tools.cli import no_ros
+from mecarover_serial.node_command_line import answer
+from mecarover_serial.node_command_line import hold_signals
+from mecarover_serial.node_command_line import no_ros
 
 NAME = 'dxl_monitor'
 ABOUT = ('Listens to Dynamixel and Feetech buses, without ever sending, and publishes devices, '

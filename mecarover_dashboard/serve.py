@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING
 from mecarover_dashboard.history_recorder import default_path
 from mecarover_dashboard.history_recorder import HistoryError
 from mecarover_dashboard.history_recorder import HistoryRecorder
+from mecarover_serial.node_command_line import no_ros
+from mecarover_serial.node_command_line import options_of_node
 from servobus.plain import plain_streams
 from servobus.plain import printable
 from servobus.tools.cli import COULD_NOT_RUN
-from servobus.tools.cli import no_ros
-from servobus.tools.cli import options_of_node
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
 

@@ -17,7 +17,6 @@ import time
 
 from dxl_monitor.monitor_settings import buses
 from dxl_monitor.monitor_settings import PARAMETERS
-from dxl_monitor.monitor_settings import settings_of
 from dxl_monitor.monitored_bus import MonitoredBus
 from mecarover_dashboard.feed import Feed
 from msg_defs.event import Chunk
@@ -26,6 +25,7 @@ from servobus.doctor.case import OPTIONS
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 from servobus.plain import printable
+from servobus.settings import settings_of
 from servobus.sources.capture import Wire
 from servobus.sources.recorders import Recorders
 from servobus.sources.source_name import rate_of

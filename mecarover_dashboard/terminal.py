@@ -21,10 +21,10 @@ from mecarover_dashboard.status_lines import screen
 from mecarover_dashboard.status_lines import SORTS
 from mecarover_dashboard.status_lines import status_lines
 from mecarover_dashboard.status_lines import table
+from mecarover_serial.node_command_line import no_ros
+from mecarover_serial.node_command_line import options_of_node
 from servobus.plain import on_screen
 from servobus.plain import plain_streams
-from servobus.tools.cli import no_ros
-from servobus.tools.cli import options_of_node
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
 

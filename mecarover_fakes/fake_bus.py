@@ -14,10 +14,9 @@ import json
 import sys
 import time
 
-from dxl_monitor.monitor_settings import check_models
-from dxl_monitor.monitor_settings import load_models
 from mecarover_fakes.dxl1_servo import Servo1
 from mecarover_fakes.fake_options import add_options
+from mecarover_fakes.fake_options import parse_away
 from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.fake_servo import FakeDevice
 from mecarover_fakes.faults import KINDS
@@ -36,7 +35,8 @@ from servobus.errors import ParameterError
 from servobus.errors import UsageError
 from servobus.model.models import Models
 from servobus.port.pty import outlive
-from servobus.port.pty import parse_away
+from servobus.settings import check_models
+from servobus.settings import load_models
 from servobus.tools.cli import run_tool
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser

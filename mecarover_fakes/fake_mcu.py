@@ -18,6 +18,8 @@ import sys
 import time
 
 from mecarover_fakes.fake_options import add_options
+from mecarover_fakes.fake_options import Away
+from mecarover_fakes.fake_options import parse_away
 from mecarover_fakes.guarded_receiver import GuardedReceiver
 from mecarover_fakes.receiver import BadCable
 from mecarover_fakes.receiver import Receiver
@@ -26,9 +28,7 @@ from msg_defs.crc import Checksum
 from msg_defs.crc import crc32_mpeg2
 from msg_defs.crc import CRC_INPUTS
 from msg_defs.vel2d import FRAME_SIZE
-from servobus.port.pty import Away
 from servobus.port.pty import outlive
-from servobus.port.pty import parse_away
 from servobus.port.pty import Pty
 from servobus.port.readable import readable
 from servobus.tools.cli import run_tool

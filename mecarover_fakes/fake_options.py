@@ -4,6 +4,9 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+from servobus.errors import UsageError
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
 
@@ -17,3 +20,21 @@ def add_options(parser: Parser) -> None:
     add('--outlive', action='store_true', help='at Ctrl-C wait until the host closed the port')
     add('--seconds', type=number(float, 0), metavar='S',
         help='end after this time (default: run until Ctrl-C)')
+
+
+class Away(NamedTuple):
+    """When the adapter is unplugged, and for how long (s)."""
+
+    after: float
+    duration: float
+
+
+def parse_away(text: str | None) -> Away | None:
+    """Return what `--vanish AFTER:FOR` of a fake means."""
+    if text is None:
+        return None
+    try:
+        after, duration = map(float, text.split(':'))
+    except ValueError:
+        raise UsageError(f'--vanish {text}: not AFTER:FOR; give seconds, as in 3:1.5') from None
+    return Away(after, duration)

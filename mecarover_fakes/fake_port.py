@@ -15,6 +15,7 @@ import threading
 import time
 from typing import Any
 
+from mecarover_fakes.fake_options import Away
 from mecarover_fakes.line import BITS_PER_BYTE
 from mecarover_fakes.line import Burst
 from mecarover_fakes.line import MASTER
@@ -25,7 +26,6 @@ from mecarover_fakes.traffic import none
 from mecarover_fakes.virtual_uart import VirtualUart
 from mecarover_fakes.virtual_usb import VirtualUsb
 from msg_defs.frame import is_good
-from servobus.port.pty import Away
 from servobus.port.readable import readable
 
 S = 1_000_000_000

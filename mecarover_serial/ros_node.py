@@ -45,6 +45,7 @@ from mecarover_serial.fast_dds import spare_shared_memory
 from mecarover_serial.fast_dds import wrong_domain
 from mecarover_serial.namesakes import DISCOVERED_NS
 from mecarover_serial.namesakes import Namesakes
+from mecarover_serial.node_command_line import ENDING
 from mecarover_serial.parameters import convert
 from mecarover_serial.parameters import Parameter
 from mecarover_serial.parameters import settings_files
@@ -59,7 +60,6 @@ from servobus.plain import printable
 from servobus.port.port_error import PortError
 from servobus.tools.cli import COULD_NOT_RUN
 from servobus.tools.cli import DONE
-from servobus.tools.cli import ENDING
 from servobus.tools.cli import WRONG_USAGE
 from servobus.worker import MORE_TASKS
 

@@ -11,8 +11,8 @@ import sys
 from harness import Program
 import pytest
 
+from mecarover_serial.command import COMMANDS
 from mecarover_serial.parameters import split_ros_args
-from servobus.tools.command import COMMANDS
 
 EXECUTABLES = Path(__file__).parents[1] / 'resource/executables'
 
@@ -80,7 +80,7 @@ def test_version_with_the_commit(tool):
 def test_a_library_that_went_is_one_line():
     done = subprocess.run(
         [sys.executable, '-c', 'import sys; sys.modules["crcmod.crcmod"] = None\n'
-         'from servobus.tools.command import dxl_dump'], capture_output=True, text=True)
+         'from mecarover_serial.command import dxl_dump'], capture_output=True, text=True)
     [line] = done.stderr.splitlines()
     assert line.startswith('dxl_dump: ')
     assert '; pip install --force-reinstall crcmod-plus ' in line

@@ -19,6 +19,7 @@ from whole_truth import WholeTruth
 
 from mecarover_fakes.fake_bus import DEFAULT_DEVICES
 from mecarover_fakes.fake_bus import make_devices
+from mecarover_fakes.fake_options import Away
 from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.fault import Fault
 from mecarover_fakes.faults import KINDS
@@ -38,7 +39,6 @@ from servobus.errors import ParameterError
 from servobus.model.control_table import STRUCTS
 from servobus.model.models import Models
 from servobus.monitor import Monitor
-from servobus.port.pty import Away
 
 MODELS = Models()
 BAUD = 2_000_000

@@ -26,7 +26,6 @@ import pytest
 
 from benchmark import confusion
 from benchmark.confusion_cases import Scene
-from dxl_monitor.monitor_settings import settings_of
 from mecarover_dashboard.feed import Feed
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_bus import make_line
@@ -35,6 +34,7 @@ from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
 from msg_defs.event import Chunk
 from servobus.monitor import Monitor
+from servobus.settings import settings_of
 from servobus.sources.capture import Moment
 from servobus.sources.capture import Wire
 from servobus.sources.capture import Writer

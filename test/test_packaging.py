@@ -11,7 +11,7 @@ import xml.etree.ElementTree as ElementTree
 
 import pytest
 
-from servobus.tools.command import COMMANDS
+from mecarover_serial.command import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 NAME = 'mecarover_serial'

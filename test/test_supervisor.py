@@ -30,7 +30,7 @@ CAN_UNSHARE = shutil.which('unshare') is not None and subprocess.run(
 pytestmark = [pytest.mark.realtime(bears=0.1), pytest.mark.skipif(
     not CAN_UNSHARE, reason='skipped: not allowed to make a PID namespace')]
 BRIDGE = """
-from servobus.tools.cli import hold_signals
+from mecarover_serial.node_command_line import hold_signals
 from msg_defs.vel2d import Vel2d
 import signal, sys, time
 from vel2d_bridge.deadman import Deadman

@@ -11,10 +11,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 import sys
 
-from servobus.tools.cli import answer
-from servobus.tools.cli import hold_signals
-from servobus.tools.cli import no_process
-from servobus.tools.cli import no_ros
+from mecarover_serial.node_command_line import answer
+from mecarover_serial.node_command_line import hold_signals
+from mecarover_serial.node_command_line import no_process
+from mecarover_serial.node_command_line import no_ros
 from vel2d_bridge.bridge_settings import PARAMETERS
 from vel2d_bridge.deadman import Deadman
 from vel2d_bridge.supervisor import supervise

@@ -27,12 +27,12 @@ from mecarover_fakes.demo.scenes import SCENES
 from mecarover_fakes.demo.scenes import TakenSetPoint
 from mecarover_fakes.demo.scenes import TIME_OUT_BOUND_S
 from mecarover_fakes.demo.stage import Stage
+from mecarover_serial.node_command_line import no_ros
 from mecarover_serial.ros_domain import DEMOS
 from mecarover_serial.ros_domain import Domain
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 from servobus.tools.cli import COULD_NOT_RUN
-from servobus.tools.cli import no_ros
 from servobus.tools.cli import run_tool
 
 READY_S = 20.0          # starting everything on a busy machine; discovery alone takes up to 2.5 s

@@ -16,31 +16,11 @@ import select
 import signal
 import time
 import tty
-from typing import NamedTuple
 
-from servobus.errors import UsageError
 from servobus.port.port_users import holders
 
 _OUTLIVE_S = 4.0                # launch kills what has not ended after 5 s
 _LOOK_S = 0.05
-
-
-class Away(NamedTuple):
-    """When the adapter is unplugged, and for how long (s)."""
-
-    after: float
-    duration: float
-
-
-def parse_away(text: str | None) -> Away | None:
-    """Return what `--vanish AFTER:FOR` of a fake means."""
-    if text is None:
-        return None
-    try:
-        after, duration = map(float, text.split(':'))
-    except ValueError:
-        raise UsageError(f'--vanish {text}: not AFTER:FOR; give seconds, as in 3:1.5') from None
-    return Away(after, duration)
 
 
 def outlive(path: str, work: Callable[[float], object] = time.sleep) -> None:

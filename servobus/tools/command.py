@@ -8,32 +8,32 @@ and the process just leaves. `cli` takes the signal over when there is something
 """
 from __future__ import annotations
 
+from collections.abc import Mapping
 import os
 import signal
 import sys
 
 COMMANDS = {
-    'vel2d_bridge': 'vel2d_bridge.main',
-    'dxl_monitor': 'dxl_monitor.start',
-    'fake_mcu': 'mecarover_fakes.fake_mcu',
-    'fake_bus': 'mecarover_fakes.fake_bus',
     'dxl_dump': 'servobus.tools.dxl_dump',
     'dxl_doctor': 'servobus.tools.dxl_doctor',
     'dxl_replay': 'servobus.tools.replay',
     'dxl_tap': 'servobus.tools.tap',
-    'dxl_dashboard': 'mecarover_dashboard.dxl_dashboard',
-    'mecarover_status': 'mecarover_dashboard.mecarover_status',
 }
 
 
 def __getattr__(name: str) -> object:
-    if name not in COMMANDS:
+    return begin(COMMANDS, name)
+
+
+def begin(commands: Mapping[str, str], name: str) -> object:
+    """Return the main function of a command; commands: the module of each."""
+    if name not in commands:
         raise AttributeError(name)
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:     # nohup: it is ignored
         signal.signal(signal.SIGINT, leave)
     from importlib import import_module
     try:
-        return import_module(COMMANDS[name]).main
+        return import_module(commands[name]).main
     except ModuleNotFoundError as error:    # e.g. pip uninstall crcmod takes files of crcmod-plus
         sys.exit(f'{name}: {error}; pip install --force-reinstall crcmod-plus pyserial PyYAML, or '
                  'sudo apt install --reinstall python3-crcmod python3-serial python3-yaml')

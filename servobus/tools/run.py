@@ -14,14 +14,14 @@ import os
 import shlex
 import shutil
 
-from dxl_monitor.monitor_settings import check_models
-from dxl_monitor.monitor_settings import load_models
 from servobus.bus.decoder import DEFAULTS
 from servobus.bus.decoder import PROTOCOLS
 from servobus.bus.expected import parse_all
 from servobus.bus.expected import split_bus
 from servobus.errors import UsageError
 from servobus.model.models import Models
+from servobus.settings import check_models
+from servobus.settings import load_models
 from servobus.sources.capture import BAUD_LIMIT
 from servobus.sources.opening import how_to_hear
 from servobus.tools.command_line import number

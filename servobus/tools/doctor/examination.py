@@ -11,13 +11,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from collections.abc import Sequence
 
-from dxl_monitor.monitor_settings import settings_of
 from msg_defs.event import Chunk
 from msg_defs.reports import Level
 from servobus.bus.decoder import DEFAULTS
 from servobus.doctor.case import OPTIONS
 from servobus.model.models import Models
 from servobus.monitor import Monitor
+from servobus.settings import settings_of
 from servobus.sources.capture import Wire
 from servobus.sources.flight_recorder import FlightRecorder
 from servobus.tools.doctor.error_window import ErrorWindow

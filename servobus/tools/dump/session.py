@@ -19,7 +19,6 @@ import sys
 import time
 from typing import BinaryIO
 
-from dxl_monitor.monitor_settings import settings_of
 from msg_defs.event import Chunk
 from servobus.bus.report import BusReport
 from servobus.doctor.case import OPTIONS
@@ -27,6 +26,7 @@ from servobus.errors import UsageError
 from servobus.monitor import Monitor
 from servobus.plain import on_screen
 from servobus.plain import printable
+from servobus.settings import settings_of
 from servobus.sources.capture import check_new
 from servobus.sources.capture import open_new
 from servobus.sources.capture import Writer
