@@ -3,7 +3,7 @@
 """
 The ROS side of the monitor: parameters, one listener and one monitor per bus, what is published.
 
-Bytes are taken in by the taps' threads; what is published is made from reports, a few statuses
+Bytes are taken in by the listeners' threads; what is published is made from reports, a few statuses
 at a time, so that 253 devices neither fill a message nor hold up the executor.
 """
 from __future__ import annotations
@@ -20,10 +20,8 @@ from rclpy.qos import qos_profile_sensor_data
 from std_srvs.srv import Trigger
 
 from dxl_monitor.bus_log import BusLog
-from dxl_monitor.monitor_settings import buses
 from dxl_monitor.monitor_settings import make_recorders
 from dxl_monitor.monitor_settings import PARAMETERS
-from dxl_monitor.monitored_bus import MonitoredBus
 from dxl_monitor.timers import Timers
 from mecarover_serial.process import resident_memory_mb
 from mecarover_serial.ros_node import declare
@@ -46,6 +44,8 @@ from msg_defs.ros import to_ros_time
 from msg_defs.ros import to_time
 from servobus.bus.report import BusReport
 from servobus.monitor import Monitor
+from servobus.monitored_bus import MonitoredBus
+from servobus.settings import buses
 from servobus.settings import load_models
 from servobus.sources.listener import STARTING
 from servobus.status import device_metrics

@@ -15,16 +15,15 @@ import shlex
 import sys
 import time
 
-from dxl_monitor.monitor_settings import buses
-from dxl_monitor.monitor_settings import PARAMETERS
-from dxl_monitor.monitored_bus import MonitoredBus
 from mecarover_dashboard.feed import Feed
 from msg_defs.event import Chunk
 from servobus.bus.report import BusReport
 from servobus.doctor.case import OPTIONS
 from servobus.model.models import Models
 from servobus.monitor import Monitor
+from servobus.monitored_bus import MonitoredBus
 from servobus.plain import printable
+from servobus.settings import buses
 from servobus.settings import settings_of
 from servobus.sources.capture import Wire
 from servobus.sources.recorders import Recorders
@@ -115,10 +114,9 @@ class PortsRun(SourceRun):
     def __init__(self, tool: str, options: argparse.Namespace, feed: Feed) -> None:
         super().__init__(options, ', '.join(options.source), feed)
         self._tool = tool
-        given = {one.name: one.default for one in PARAMETERS} | {
-            'ports': options.source, 'devices': options.devices,
-            'protocols': [options.protocol],
-            'bauds': [rate_of(name, options.baud) for name in options.source]}
+        given = {'ports': options.source, 'devices': options.devices,
+                 'protocols': [options.protocol],
+                 'bauds': [rate_of(name, options.baud) for name in options.source]}
         self._ports = [MonitoredBus(bus, self._models, Recorders(None, None), names=OPTIONS)
                        for bus in buses(given, self._models)]
 

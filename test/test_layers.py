@@ -18,29 +18,32 @@ import tokenize
 ROOT = Path(__file__).parents[1]
 LAYERS = {                              # package: what of ours it may import
     'msg_defs': {'msg_defs'},
-    'mecarover_serial': {'msg_defs', 'mecarover_serial'},
-    'vel2d_bridge': {'msg_defs', 'mecarover_serial', 'vel2d_bridge'},
-    'dxl_monitor': {'msg_defs', 'mecarover_serial', 'dxl_monitor'},
-    'mecarover_dashboard': {'msg_defs', 'mecarover_serial', 'mecarover_dashboard'},
-    'mecarover_fakes.demo': {'msg_defs', 'mecarover_serial', 'vel2d_bridge', 'dxl_monitor',
-                       'mecarover_dashboard', 'mecarover_fakes', 'mecarover_fakes.demo'},
-    'mecarover_fakes': {'msg_defs', 'mecarover_serial', 'dxl_monitor', 'mecarover_fakes'},
-    'mecarover_feed': {'msg_defs', 'mecarover_serial', 'dxl_monitor', 'mecarover_dashboard',
-                       'mecarover_feed'},
+    'servobus': {'msg_defs', 'servobus'},
+    'mecarover_serial': {'msg_defs', 'servobus', 'mecarover_serial'},
+    'vel2d_bridge': {'msg_defs', 'servobus', 'mecarover_serial', 'vel2d_bridge'},
+    'dxl_monitor': {'msg_defs', 'servobus', 'mecarover_serial', 'dxl_monitor'},
+    'mecarover_dashboard': {'msg_defs', 'servobus', 'mecarover_serial', 'mecarover_dashboard'},
+    'mecarover_fakes': {'msg_defs', 'servobus', 'mecarover_serial', 'mecarover_dashboard',
+                        'mecarover_fakes'},
 }
-BELOW = {'model', 'port', 'bus', 'doctor', 'record'}
-ROOMS = {                               # room of dxl_monitor ('': none): what it may import
-    'model': set(),
-    'port': set(),
-    'bus': {'model', 'port'},
-    'doctor': {'model', 'bus'},
-    'record': {'port', 'bus'},
-    '': BELOW,
-    'tools': BELOW | {''},
+# Rooms of servobus: its folders, and what its other modules are.
+BASE = ('errors', 'plain', 'internal_fault', 'worker')
+CORE = ('monitor', 'joints', 'signals', 'status')
+ROOMS = {                               # room of servobus: which others it may import
+    'base': set(),
+    'model': {'base'},
+    'port': {'base'},
+    'bus': {'base', 'model'},
+    'doctor': {'base', 'model', 'bus'},
+    'core': {'base', 'model', 'bus', 'doctor'},
+    'sources': {'base', 'bus', 'port'},
+    '': {'base', 'model', 'bus', 'doctor', 'core', 'port', 'sources'},
+    'tools': {'base', 'model', 'bus', 'doctor', 'core', 'port', 'sources', ''},
 }
+BRIDGE_USES = {'base', 'port'}          # of servobus: it drives, and knows no servos
 ROS = ('rclpy', 'rcl_interfaces', 'launch', 'launch_ros', 'ament_index_python', 'std_srvs',
        'builtin_interfaces')
-PURE = {'msg_defs'}                     # no IO, no clock
+PURE = ('msg_defs', 'servobus/bus', 'servobus/doctor')      # no IO, no clock
 IO = {'os', 'socket', 'select', 'time', 'serial', 'subprocess', 'pathlib'}
 FILES = [path for package in LAYERS for path in sorted((ROOT / package).rglob('*.py'))]
 
@@ -82,8 +85,8 @@ def import_faults(path):
             yield f'{path.name} imports {module}'
         if module == 'mecarover_serial.launch':
             yield f'{path.name}: only launch files have launch'
-        if package in PURE and path.name != 'ros.py' and top in IO:
-            yield f'{package} does IO or looks at a clock: {module}'
+        if str(path.relative_to(ROOT)).startswith(PURE) and path.name != 'ros.py' and top in IO:
+            yield f'{path.name} does IO or looks at a clock: {module}'
 
 
 def test_imports_go_downward():
@@ -91,15 +94,16 @@ def test_imports_go_downward():
 
 
 def test_benchmarks_use_the_rigs_and_no_rig_a_benchmark():
-    assert [path.name for path in (ROOT / 'rigs').rglob('*.py')
+    assert [path.name for path in (ROOT / 'test/rigs').rglob('*.py')
             if any(module.startswith('benchmark') for module in imports(path))] == []
 
 
 def modules():
     """Return the file of each module of ours, equipment among it, by its name in imports."""
-    folders = (*LAYERS, 'benchmark', 'rigs', 'fuzz', 'docs')
-    return {'.'.join(path.relative_to(ROOT).with_suffix('').parts).removesuffix('.__init__'): path
-            for folder in folders for path in (ROOT / folder).rglob('*.py')}
+    return {'.'.join(path.relative_to(place).with_suffix('').parts).removesuffix('.__init__'): path
+            for place, folders in ((ROOT, (*LAYERS, 'docs')),
+                                   (ROOT / 'test', ('benchmark', 'rigs', 'fuzz')))
+            for folder in folders for path in (place / folder).rglob('*.py')}
 
 
 def imported(path, known):
@@ -135,21 +139,23 @@ def test_a_circle_would_be_seen():
 
 
 def room_of(parts):
-    """Return the room of a module of dxl_monitor, from the parts of its name or path."""
-    return parts[1] if len(parts) > 1 and parts[1] in ROOMS else ''
+    """Return the room of a module of servobus, from the parts of its name."""
+    if len(parts) < 2:
+        return ''
+    return parts[1] if parts[1] in ROOMS else 'base' if parts[1] in BASE \
+        else 'core' if parts[1] in CORE else ''
 
 
 def test_arrows_between_rooms_go_downward():
     wrong = []
-    for path in FILES:
-        here = path.relative_to(ROOT).parts
-        if here[0] != 'dxl_monitor':
-            continue
-        for module in imports(path):
+    for name, path in modules().items():
+        here = name.split('.')
+        for module in imports(path, modules()):
             there = module.split('.')
-            if there[0] == 'dxl_monitor' and len(there) > 1 and room_of(there) != room_of(here) \
-                    and room_of(there) not in ROOMS[room_of(here)]:
-                wrong.append(f'{path.relative_to(ROOT)} imports {module}')
+            allowed = BRIDGE_USES if here[0] == 'vel2d_bridge' else \
+                {*ROOMS[room_of(here)], room_of(here)} if here[0] == 'servobus' else ROOMS
+            if there[0] == 'servobus' and room_of(there) not in allowed:
+                wrong.append(f'{name} imports {module}')
     assert wrong == []
 
 
@@ -231,6 +237,27 @@ def test_words_are_the_usual_ones():
              for at, line in enumerate((ROOT / name).read_text().splitlines(), 1)
              if UNUSUAL.search(line) or (name.suffix != '.md' and HALF_SENTENCE.search(line))]
     assert wrong == []
+
+
+def names_in(path):
+    """Return what a module defines or imports, at any depth."""
+    return {found for node in ast.walk(parsed(path)) for found in (
+        getattr(node, 'name', None), getattr(node, 'attr', None), getattr(node, 'id', None))}
+
+
+def test_every_module_that_a_comment_names_exists():
+    known = modules()
+    dotted = re.compile(rf"\b(?:{'|'.join({name.split('.')[0] for name in known} - {'docs'})})"
+                        r"(?:\.[a-z_]\w*)+\b(?!\()")
+    missing = []
+    for name, path in known.items():
+        for words in words_of(path):
+            for found in dotted.findall(words):
+                module, _, last = found.rpartition('.')
+                if found not in known and not (module in known and last in names_in(known[module])) \
+                        and not found.endswith(('.py', '.md', '.yaml', '.c', '.txt', '.tsv')):
+                    missing.append(f'{name}: {found}')
+    assert missing == []
 
 
 def test_every_file_that_a_comment_names_exists():

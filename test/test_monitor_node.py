@@ -18,13 +18,13 @@ from harness import Program
 from harness import wait
 import pytest
 
-from dxl_monitor.monitor_settings import Bus
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 from servobus.bus.decoder import Settings
 from servobus.model.models import Models
 from servobus.port.inspection import EVERY_S
 from servobus.port.pty import Pty
+from servobus.settings import Bus
 from servobus.sources.listener import ListenerState
 from servobus.sources.recorders import Recorders
 
@@ -175,7 +175,7 @@ def test_no_system_call_writes_to_the_port(tmp_path, heard):
 
 def test_a_report_waits_until_what_waited_is_read(ros):
     """After a freeze; but not for ever, if it is the reader that hangs."""
-    from dxl_monitor.monitored_bus import MonitoredBus
+    from servobus.monitored_bus import MonitoredBus
     bus = Bus('bus', '', '/does/not/exist', Settings())
     watched = MonitoredBus(bus, Models(), Recorders(None, None), 0.0)
     listener = watched.listener

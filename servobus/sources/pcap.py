@@ -18,7 +18,7 @@ from typing import Protocol
 from servobus.plain import printable
 
 LINK_USB_LINUX, LINK_USB_LINUX_MMAPPED, LINK_USBPCAP = 189, 220, 249
-LINK_USER0 = 147                   # ours: record/packet_file.py
+LINK_USER0 = 147                   # ours: packet_file.py
 
 _PCAP_MAGIC = {0xA1B2C3D4: 1000, 0xA1B23C4D: 1}        # ns in a unit of the fraction
 SECTION, SECTION_MAGIC = 0x0A0D0D0A, 0x1A2B3C4D

@@ -3,7 +3,7 @@
 """
 The tap inside of a Python master: what passes through pyserial is forwarded to listeners.
 
-Loaded by file, by port/site/sitecustomize.py, into a program that knows nothing of this package.
+Loaded by file, by site/sitecustomize.py, into a program that knows nothing of this package.
 So it takes only what the standard library has on every system. It never blocks the program: calls
 put a record into a queue, a thread sends. What a slow reader does not take is counted and left
 out. tap_pyserial.py calls this, tap_reader.py is the other end.

@@ -6,8 +6,8 @@ from functools import partial
 import sys
 from unittest import mock
 
-from dxl_monitor import monitored_bus
 from dxl_monitor.start import main
+from servobus import monitored_bus
 
 # Fails where monitored_bus.py no longer has that name; an assignment would go unseen.
 in_thread = mock.patch.object(monitored_bus, 'listener_on',

@@ -5,7 +5,8 @@ Plants the faults of rigs/planted.yaml in a copy, one after the other, and runs 
 
     scripts/python -m rigs.planted                  all of them
     scripts/python -m rigs.planted --only freeze    those with that word in the name
-    scripts/python -m rigs.stutter load -- scripts/python -m rigs.planted       on a machine that stutters
+    scripts/python -m rigs.stutter load -- scripts/python -m rigs.planted
+        on a machine that stutters
 
 Exit code: how many were not found. The tests must pass in a copy without a fault, or what they
 find says nothing: that is tried first, for all tests together.

@@ -13,7 +13,6 @@ from types import SimpleNamespace
 from unittest.mock import MagicMock
 from unittest.mock import patch
 
-from dxl_monitor import monitored_bus
 from dxl_monitor import timers
 from dxl_monitor.monitor_settings import PARAMETERS
 from fuzz.dashboard import cdr
@@ -29,6 +28,7 @@ from mecarover_dashboard.metrics import exposition
 from mecarover_dashboard.state import State
 from mecarover_dashboard.state import TOPICS
 from servobus import monitor
+from servobus import monitored_bus
 from servobus.model.models import Models
 from servobus.sources.capture import Reader
 from servobus.sources.capture import STAMP_END

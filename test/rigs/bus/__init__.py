@@ -3,7 +3,7 @@
 """
 A second servo bus in simulated time, to judge the doctor with traffic that it was not made with.
 
-It shares nothing with `dxl_monitor.fake` and the encoders of `msg_defs`: the packets follow the
+It shares nothing with `mecarover_fakes` and the encoders of `msg_defs`: the packets follow the
 e-Manual (Protocol 2.0), the masters follow what the public programs send and how long they wait.
 Time is counted in ns from 0. The parts know each other only like this:
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""What port.py and the monitor take for granted of a driver, asked of each driver."""
+"""What serial_port.py and the monitor take for granted of a driver, asked of each driver."""
 from __future__ import annotations
 
 import json

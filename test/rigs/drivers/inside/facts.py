@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Run in the guest: what a driver does with what port.py assumes of one, as JSON.
+Run in the guest: what a driver does with what serial_port.py assumes of one, as JSON.
 
 usage: facts.py PORT       nothing else may have it open
 """

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from functools import cached_property
 import time
 
-from dxl_monitor.monitor_settings import Bus
 from msg_defs.event import Change
 from msg_defs.event import Chunk
 from msg_defs.event import UNKNOWN
@@ -19,6 +18,7 @@ from servobus.doctor.case import PARAMETERS
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 from servobus.port.inspection import Inspection
+from servobus.settings import Bus
 from servobus.sources.capture import Wire
 from servobus.sources.driver import adapter
 from servobus.sources.listener import TAKE_EVERY_S
