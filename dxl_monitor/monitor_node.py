@@ -3,7 +3,7 @@
 """
 The ROS side of the monitor: parameters, one listener and one monitor per bus, what is published.
 
-Bytes are taken in by the listeners' threads; what is published is made from reports, a few statuses
+The listeners' threads take bytes in; what is published is made from reports, a few statuses
 at a time, so that 253 devices neither fill a message nor hold up the executor.
 """
 from __future__ import annotations

@@ -21,14 +21,14 @@ from msg_defs.reports import status_name
 from msg_defs.signal import Points
 from msg_defs.signal import SPAN_S
 from servobus.bus.report import BusReport
+from servobus.doctor.finding_log import BusSummary
+from servobus.doctor.finding_log import FindingLog
+from servobus.examination import REPORT_NS
 from servobus.monitor import Monitor
 from servobus.signals import BusSignals
 from servobus.status import device_metrics
 from servobus.status import PortState
 from servobus.status import statuses_of
-from servobus.tools.doctor.examination import REPORT_NS
-from servobus.tools.doctor.finding_log import FindingLog
-from servobus.tools.doctor.verdict import BusSummary
 from servobus.tools.doctor.verdict import Verdict
 
 NODE = 'dxl_monitor'                # in the names of statuses

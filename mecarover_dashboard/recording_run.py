@@ -20,12 +20,12 @@ from mecarover_dashboard.source_run import S
 from mecarover_dashboard.source_run import SourceRun
 from mecarover_dashboard.source_run import TURN_S
 from msg_defs.reports import Level
+from servobus.examination import Examination
+from servobus.examination import LONGEST_PAUSE_NS
+from servobus.examination import REPORT_NS
 from servobus.sources.opening import open_file
 from servobus.sources.source import File
 from servobus.tools.doctor import no_data
-from servobus.tools.doctor.examination import Examination
-from servobus.tools.doctor.examination import LONGEST_PAUSE_NS
-from servobus.tools.doctor.examination import REPORT_NS
 from servobus.tools.doctor.verdict import Verdict
 from servobus.tools.doctor.verdict import verdict
 

@@ -1,3 +1,67 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""Listen to a bus of Dynamixel or Feetech servos, and name what is wrong with it."""
+"""
+Listen to a bus of Dynamixel or Feetech servos, and name what is wrong with it. It never sends.
+
+What is named here is public and stays (docs/library.md); everything else may change. Each name is
+imported when it is first used: opening a port does not load the doctor.
+"""
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from msg_defs.event import Change
+    from msg_defs.event import Chunk
+    from msg_defs.reports import Level
+    from servobus.bus.decoder import Settings
+    from servobus.bus.expected import Expected
+    from servobus.bus.expected import parse_all
+    from servobus.bus.report import BusReport
+    from servobus.bus.report import DeviceReport
+    from servobus.bus.report import Finding
+    from servobus.errors import ParameterError
+    from servobus.errors import ServobusError
+    from servobus.errors import UsageError
+    from servobus.listening import listen
+    from servobus.listening import Listening
+    from servobus.model.checked_yaml import ModelError
+    from servobus.model.models import Models
+    from servobus.monitor import Monitor
+    from servobus.plain_data import report_data
+    from servobus.port.port_error import PortError
+    from servobus.sources.opening import open_source
+
+_HOMES = {
+    'msg_defs.event': ('Change', 'Chunk'),
+    'msg_defs.reports': ('Level',),
+    'servobus.bus.decoder': ('Settings',),
+    'servobus.bus.expected': ('Expected', 'parse_all'),
+    'servobus.bus.report': ('BusReport', 'DeviceReport', 'Finding'),
+    'servobus.errors': ('ParameterError', 'ServobusError', 'UsageError'),
+    'servobus.listening': ('Listening', 'listen'),
+    'servobus.model.checked_yaml': ('ModelError',),
+    'servobus.model.models': ('Models',),
+    'servobus.monitor': ('Monitor',),
+    'servobus.port.port_error': ('PortError',),
+    'servobus.plain_data': ('report_data',),
+    'servobus.sources.opening': ('open_source',),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+__all__ = [
+    'BusReport', 'Change', 'Chunk', 'DeviceReport', 'Expected', 'Finding', 'Level', 'Listening',
+    'ModelError', 'Models', 'Monitor', 'ParameterError', 'PortError', 'ServobusError', 'Settings',
+    'UsageError', 'listen', 'open_source', 'parse_all', 'report_data']
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOME_OF:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    found = getattr(import_module(_HOME_OF[name]), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return __all__

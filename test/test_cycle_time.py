@@ -23,14 +23,14 @@ from servobus.bus.cycle_time import NO_RATE
 from servobus.bus.cycle_time import NO_SIDES
 from servobus.doctor.case import History
 from servobus.doctor.case import PARAMETERS
+from servobus.doctor.finding_log import BusSummary
+from servobus.doctor.finding_log import FindingLog
 from servobus.doctor.timing_rules import RULES
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 from servobus.monitor import Settings
 from servobus.tools.doctor.answer_screen import screen
-from servobus.tools.doctor.finding_log import FindingLog
 from servobus.tools.doctor.verdict import as_json
-from servobus.tools.doctor.verdict import BusSummary
 from servobus.tools.doctor.verdict import verdict
 
 cycle_time = next(rule.check for rule in RULES if rule.name == 'cycle_time')

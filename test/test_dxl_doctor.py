@@ -35,6 +35,7 @@ from msg_defs.event import Chunk
 from msg_defs.uart import byte_ns
 from msg_defs.uart import heard_at
 from servobus.doctor import RULES
+from servobus.examination import Examination
 from servobus.model.models import Models
 from servobus.port.pty import Pty
 from servobus.sources.capture import Moment
@@ -47,7 +48,6 @@ from servobus.tools.doctor import no_data
 from servobus.tools.doctor import report_file
 from servobus.tools.doctor.answer_screen import screen
 from servobus.tools.doctor.error_window import ErrorWindow
-from servobus.tools.doctor.examination import Examination
 from servobus.tools.doctor.verdict import ERROR
 from servobus.tools.doctor.verdict import NOTHING_HEARD
 from servobus.tools.doctor.verdict import verdict
@@ -610,8 +610,8 @@ def test_a_report_gives_back_all_that_was_said(tmp_path):
 
 def test_a_chunk_larger_than_a_report_is_left_out():
     window = ErrorWindow()
-    window.take(Chunk(1, 'bus', bytes(2_000_000)), WIRE)
-    window.take(Chunk(2, 'bus', b'\1'), WIRE)
+    window.take(WIRE, Chunk(1, 'bus', bytes(2_000_000)))
+    window.take(WIRE, Chunk(2, 'bus', b'\1'))
     assert [one.data for one in Reader(io.BytesIO(window.capture({})))] == [b'\1']
 
 
@@ -626,13 +626,13 @@ def test_a_file_called_run_is_no_source(tmp_path):
 def test_a_report_is_bounded():
     window = ErrorWindow()
     for number in range(3000):
-        window.take(Chunk(1 + number * SECOND // 100, 'bus', bytes(1000)), WIRE)
+        window.take(WIRE, Chunk(1 + number * SECOND // 100, 'bus', bytes(1000)))
     kept = list(Reader(io.BytesIO(window.capture({}))))
     assert sum(len(chunk.data) for chunk in kept) <= 1_500_000
     assert kept[-1].stamp == 1 + 2999 * SECOND // 100
     window = ErrorWindow()
     for number in range(900):
-        window.take(Chunk(1 + number * SECOND // 10, 'bus', bytes(1)), WIRE)
+        window.take(WIRE, Chunk(1 + number * SECOND // 10, 'bus', bytes(1)))
         if number == 400:
             window.first_error = 40 * SECOND
     kept = list(Reader(io.BytesIO(window.capture({}))))

@@ -16,13 +16,13 @@ from rigs.bus.score import BOOT
 from rigs.bus.score import SEED
 from servobus.bus.report import DISCONNECTED
 from servobus.errors import ParameterError
+from servobus.examination import Examination
 from servobus.model.models import Models
 from servobus.sources.capture import Moment
 from servobus.sources.capture import Wire
 from servobus.sources.flight_recorder import FlightRecorder
 from servobus.sources.opening import open_file
 from servobus.sources.recorders import Recorders
-from servobus.tools.doctor.examination import Examination
 
 S = 1_000_000_000
 MODELS = Models()
@@ -188,7 +188,7 @@ def diagnosed(scene, folder):
     now = [0]
     flight = FlightRecorder(str(folder), 1_000_000_000, 1, lambda: Moment(now[0], now[0]))
     wire = Wire('bus', scene.adapter.baud or scene.baud)
-    live = Examination(MODELS, scene.devices, flight=flight)
+    live = Examination(MODELS, scene.devices, watchers=[flight])
     rig = scene.rig(SEED)
 
     def hear(data, stamp):

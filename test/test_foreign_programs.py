@@ -29,8 +29,8 @@ from msg_defs.event import UNREAD
 from msg_defs.reports import Level
 from servobus.bus.report import FAILED
 from servobus.bus.report import RAISED
-from servobus.tools.doctor.finding_log import FindingLog
-from servobus.tools.doctor.verdict import BusSummary
+from servobus.doctor.finding_log import BusSummary
+from servobus.doctor.finding_log import FindingLog
 from servobus.tools.doctor.verdict import verdict
 
 RATE, EMPTY = Change(BAUD, 1_000_000), Change(UNREAD, 0)

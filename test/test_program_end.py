@@ -23,11 +23,11 @@ from servobus.bus.report import FAILED
 from servobus.bus.report import OWN
 from servobus.bus.report import RAISED
 from servobus.bus.report import ROBBER
+from servobus.examination import Examination
 from servobus.model.models import Models
 from servobus.sources import tap_sender as sent
 from servobus.sources.capture import Wire
 from servobus.sources.tap_reader import TapRecord
-from servobus.tools.doctor.examination import Examination
 from servobus.tools.doctor.program import Openings
 from servobus.tools.doctor.verdict import verdict
 

@@ -25,13 +25,13 @@ from servobus.bus.decoder import Settings
 from servobus.bus.expected import parse_all
 from servobus.doctor import RULES
 from servobus.doctor.case import PARAMETERS
+from servobus.doctor.finding_log import BusSummary
+from servobus.doctor.finding_log import FindingLog
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 from servobus.status import PortState
 from servobus.status import statuses_of
-from servobus.tools.doctor.finding_log import FindingLog
 from servobus.tools.doctor.verdict import as_json
-from servobus.tools.doctor.verdict import BusSummary
 from servobus.tools.doctor.verdict import verdict
 
 MODELS = Models()

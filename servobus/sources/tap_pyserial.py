@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import atexit
 from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from contextlib import suppress
 import json
 import os
@@ -227,6 +229,22 @@ def wrap_classes(sender: Any, module: Any) -> None:
         for name, wrap in _WRAPPERS.items():
             if name in vars(one):
                 setattr(one, name, wrap(sender, vars(one)[name]))
+
+
+@contextmanager
+def tapped(port: Any, sender: Any) -> Iterator[None]:
+    """Report what passes one open port; meanwhile its class is one that does so."""
+    kind = type(port)
+    found = {name: one for base in reversed(kind.__mro__) for name, one in vars(base).items()}
+    own = {name: wrap(sender, found[name]) for name, wrap in _WRAPPERS.items() if name in found}
+    port.__dict__.update({_PORT: sender.opened(str(port.port), int(port.baudrate)), _LEFT: 0})
+    port.__class__ = type(kind.__name__, (kind,), own)
+    try:
+        yield
+    finally:
+        port.__class__ = kind
+        for name in (_PORT, _LEFT, _VAIN, _LOOKED, _PAUSE, _WAITS):
+            port.__dict__.pop(name, None)
 
 
 class _PatchingLoader:

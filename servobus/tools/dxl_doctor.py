@@ -17,8 +17,13 @@ from typing import Any
 
 from servobus.bus.decoder import DEFAULTS
 from servobus.bus.decoder import PROTOCOLS
+from servobus.doctor.finding_log import BusSummary
 from servobus.errors import ParameterError
 from servobus.errors import UsageError
+from servobus.examination import ARRIVAL_NS
+from servobus.examination import Examination
+from servobus.examination import SILENCE_S
+from servobus.examination import TRAFFIC_S
 from servobus.model.models import Models
 from servobus.plain import on_screen
 from servobus.plain import plain
@@ -39,10 +44,7 @@ from servobus.tools.doctor import report_file
 from servobus.tools.doctor.answer_screen import HEIGHT
 from servobus.tools.doctor.answer_screen import screen
 from servobus.tools.doctor.answer_screen import WIDTH
-from servobus.tools.doctor.examination import ARRIVAL_NS
-from servobus.tools.doctor.examination import Examination
-from servobus.tools.doctor.examination import SILENCE_S
-from servobus.tools.doctor.examination import TRAFFIC_S
+from servobus.tools.doctor.error_window import ErrorWindow
 from servobus.tools.doctor.issue_report import anonymous
 from servobus.tools.doctor.issue_report import check_report
 from servobus.tools.doctor.issue_report import Maker
@@ -52,7 +54,6 @@ from servobus.tools.doctor.issue_report import report
 from servobus.tools.doctor.program import Program
 from servobus.tools.doctor.report_file import SavedReport
 from servobus.tools.doctor.verdict import as_json
-from servobus.tools.doctor.verdict import BusSummary
 from servobus.tools.doctor.verdict import Verdict
 from servobus.tools.doctor.verdict import verdict
 from servobus.tools.dump.screen import has_colours
@@ -90,7 +91,9 @@ def _run(arguments: list[str]) -> int:
         return _retell(stored, models, options)
     check_report(options.report)
     flight = _flight(options, is_file)
-    examination = Examination(models, options.devices, options.protocol, flight)
+    window = ErrorWindow()
+    examination = Examination(models, options.devices, options.protocol,
+                              [window] if flight is None else [window, flight])
     with closing(_open(options, command)) as source:
         try:
             seconds = _listen(source, examination, options.seconds)
@@ -98,6 +101,8 @@ def _run(arguments: list[str]) -> int:
             if flight is not None:
                 flight.stop()
         said = _answer(source, examination, seconds, options, command)
+        if options.report:
+            _write_report(source, examination, seconds, options, command, window)
         for problem in [*source.problems(), *([flight.words] if flight is not None else [])]:
             print(f'dxl_doctor: {printable(problem)}', file=sys.stderr)
     return said.code
@@ -105,7 +110,7 @@ def _run(arguments: list[str]) -> int:
 
 def _answer(source: Source, examination: Examination, seconds: float,
             options: argparse.Namespace, command: Sequence[str]) -> Verdict:
-    """Print what was found and write the report; a program may go on."""
+    """Print what was found; a program may go on."""
     buses = examination.buses(source.is_timed)
     why = [] if examination.bytes else _why_quiet(options.source, source, command)
     if isinstance(source, Program):
@@ -117,8 +122,6 @@ def _answer(source: Source, examination: Examination, seconds: float,
         said = verdict(options.source, buses, seconds, source.is_timed, why)
         more = {}
     _show(said, as_json(said, buses, seconds) | more, options)
-    if options.report:
-        _write_report(source, examination, seconds, options, command)
     return said
 
 
@@ -252,7 +255,8 @@ def _show(said: Verdict, for_programs: dict[str, Any], options: argparse.Namespa
 
 
 def _write_report(source: Source, examination: Examination, seconds: float,
-                  options: argparse.Namespace, command: Sequence[str]) -> None:
+                  options: argparse.Namespace, command: Sequence[str],
+                  window: ErrorWindow) -> None:
     ports = source.ports if isinstance(source, Program) else \
         [port for port in [machine.device(options.source)] if port]
     buses = examination.buses(source.is_timed)
@@ -263,7 +267,7 @@ def _write_report(source: Source, examination: Examination, seconds: float,
     maker = Maker(machine.system(), machine.adapters(ports, options.with_host),
                   machine.host(options.source, command) if options.with_host else (),
                   options.devices, options.protocol)
-    text = report(said, shown, seconds, maker, examination.window.capture(names))
+    text = report(said, shown, seconds, maker, window.capture(names))
     with open(options.report, 'w', encoding='utf-8') as file:
         file.write(text)
     print(f'dxl_doctor: the report is in {printable(options.report)}', file=sys.stderr)

@@ -34,9 +34,9 @@ from rigs.bus.scenes import PLAYED
 from rigs.bus.score import SCENES
 from rigs.bus.score import spell
 from rigs.bus.wrecked import KINDS
+from servobus.doctor.finding_log import FindingLog
+from servobus.examination import TRAFFIC_S
 from servobus.tools.doctor import explain
-from servobus.tools.doctor.examination import TRAFFIC_S
-from servobus.tools.doctor.finding_log import FindingLog
 
 FOLDER = Path(__file__).resolve().parents[1] / 'baseline'
 DOCTOR = FOLDER / 'doctor.tsv'

@@ -17,6 +17,8 @@ import textwrap
 import zlib
 
 from msg_defs.event import Chunk
+from msg_defs.reports import Level
+from servobus.bus.report import BusReport
 from servobus.sources.capture import Moment
 from servobus.sources.capture import Wire
 from servobus.sources.capture import Writer
@@ -36,7 +38,7 @@ class ErrorWindow:
         self._chunks: deque[tuple[Chunk, Wire]] = deque()
         self._size = 0
 
-    def take(self, chunk: Chunk, wire: Wire) -> None:
+    def take(self, wire: Wire, chunk: Chunk) -> None:
         """Keep a chunk, if it is near enough to the first error, or to now."""
         if self.first_error and (chunk.stamp > self.first_error + _HALF_NS
                                  or self._size > SIZE_LIMIT):
@@ -47,6 +49,11 @@ class ErrorWindow:
         while self._chunks and (self._chunks[0][0].stamp < before or (
                 self._size > SIZE_LIMIT and not self.first_error)):
             self._size -= len(self._chunks.popleft()[0].data)
+
+    def look(self, bus: str, report: BusReport) -> None:
+        """Note the time of the first report with a finding that is no advice."""
+        if not self.first_error and any(one.level > Level.OK for one in report.findings):
+            self.first_error = report.stamp
 
     def capture(self, names: Mapping[str, str]) -> bytes:
         """Return it as a capture, with the buses renamed and without their ports."""

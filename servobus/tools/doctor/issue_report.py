@@ -14,13 +14,13 @@ import os
 from typing import Any
 from typing import NamedTuple
 
+from servobus.doctor.finding_log import BusSummary
 from servobus.errors import UsageError
 from servobus.plain import printable
 from servobus.sources.opening import REPORT
 from servobus.tools.doctor.answer_screen import screen
 from servobus.tools.doctor.error_window import packed
 from servobus.tools.doctor.verdict import as_json
-from servobus.tools.doctor.verdict import BusSummary
 from servobus.tools.doctor.verdict import Verdict
 
 VERSION = 1

@@ -16,15 +16,17 @@ from typing import Any
 from typing import NamedTuple
 
 from msg_defs.reports import Level
-from servobus.bus.report import BusReport
 from servobus.bus.report import CONNECTED
 from servobus.bus.report import DeviceReport
-from servobus.doctor import timing_rules
+from servobus.doctor.finding_log import BusSummary
+from servobus.doctor.finding_log import Logged
+from servobus.doctor.finding_log import NEEDS_TIMES
 from servobus.doctor.states import LISTED_AS
 from servobus.doctor.states import RATES
 from servobus.plain import printable
-from servobus.tools.doctor.finding_log import FindingLog
-from servobus.tools.doctor.finding_log import Logged
+from servobus.plain_data import bus_data
+from servobus.plain_data import device_data
+from servobus.plain_data import finding_data
 from servobus.tools.dump.text_format import spans
 
 WELL, NOTHING_HEARD, WARNING, ERROR = 0, 1, 3, 4      # exit codes; 2 is a wrong command line
@@ -32,7 +34,6 @@ PORTS_NAMED = 2
 SMALL = 0.005                      # share of a cycle that is not worth a word
 LOAD_NS = 2_000_000_000             # the load of a shorter time says nothing
 _CODES = {Level.WARN: WARNING, Level.ERROR: ERROR}
-_NEEDS_TIMES = frozenset(rule.name for rule in timing_rules.RULES)
 ID = '{:03}'
 _UNTIMED = 'waits and periods: this file holds no times; record with dxl_dump -w FILE'
 
@@ -75,31 +76,6 @@ class Verdict(NamedTuple):
         return max((_CODES.get(entry.level, WELL) for entry in self.wrong), default=WELL)
 
 
-class BusSummary(NamedTuple):
-    """One bus at the end of a run; name '' where there is only one."""
-
-    name: str
-    report: BusReport
-    logged: tuple[Logged, ...]
-
-    @classmethod
-    def of(cls, name: str, report: BusReport, log: FindingLog, is_timed: bool) -> BusSummary:
-        """Return what is said of a bus; without times nothing that needs them."""
-        return cls(name, report, tuple(one for one in log.entries()
-                                       if is_timed or one.finding.rule not in _NEEDS_TIMES))
-
-    def who(self, number: int | None) -> str:
-        """Return a device as a person knows it: '003 left_knee, MX-64'."""
-        place = f'{self.name}/' if self.name else ''
-        if number is None:
-            return f'bus {self.name}' if self.name else 'the bus'
-        device = next((one for one in self.report.devices if one.id == number), None)
-        if device is None:
-            return f'{place}{number:03}'
-        model = '' if device.model_name == 'unknown' else f', {device.model_name}'
-        return printable(f'{place}{device.name}{model}')
-
-
 def verdict(source: str, buses: Sequence[BusSummary], seconds: float, is_timed: bool,
             quiet: Sequence[str] = (), ports: Sequence[str] = (), ended: Trouble | None = None,
             doubts: Sequence[str] = ()) -> Verdict:
@@ -111,7 +87,7 @@ def verdict(source: str, buses: Sequence[BusSummary], seconds: float, is_timed: 
     unknown = [*doubts, *([] if is_timed or quiet else [_UNTIMED])]
     for bus in buses:
         unknown += [f'{doubt.rule.replace("_", " ")}, {bus.who(doubt.device)}: {doubt.message}'
-                    for doubt in bus.report.doubts if is_timed or doubt.rule not in _NEEDS_TIMES]
+                    for doubt in bus.report.doubts if is_timed or doubt.rule not in NEEDS_TIMES]
         unknown += [f'{bus.who(one.id)}: {printable(one.message)}; the cause is unknown'
                     for one in _unnamed(bus) if _is_slight(one)]
     wrong = [entry for bus in buses for entry in _wrong(bus)] + [one for one in [ended] if one]
@@ -242,27 +218,13 @@ def as_json(said: Verdict, buses: Sequence[BusSummary], seconds: float) -> dict[
         'source': said.source, 'seconds': round(seconds, 3), 'exit': said.code,
         'wrong': [[one.level.name, one.who, one.rule, one.message] for one in said.wrong],
         'nothing_heard': list(said.quiet), 'cannot_tell': list(said.unknown),
-        'buses': [{
-            'name': bus.report.name, 'baud': bus.report.baud,
-            'protocol': bus.report.protocol,
-            'level': bus.report.level.name, 'message': bus.report.message,
-            'counters': bus.report.counters,
-            'cycle': bus.report.cycle and bus.report.cycle._asdict(),
-            'devices': [_device_json(device) for device in bus.report.devices],
+        'buses': [bus_data(bus.report) | {
+            'devices': [device_data(device) for device in bus.report.devices],
             'findings': [_finding_json(one, bus) for one in bus.logged]} for bus in buses]}
-
-
-def _device_json(device: DeviceReport) -> dict[str, Any]:
-    return {'id': device.id, 'name': device.name, 'model': device.model_name,
-            'firmware': device.firmware, 'state': device.state, 'level': device.level.name,
-            'message': device.message, 'answers': device.totals.answers,
-            'missed': device.totals.missed, 'damaged': device.totals.damaged}
 
 
 def _finding_json(one: Logged, bus: BusSummary) -> dict[str, Any]:
     finding = one.finding
-    return {'rule': finding.rule, 'level': finding.level.name, 'device': finding.device,
-            'who': bus.who(finding.device), 'message': finding.message,
-            'evidence': dict(finding.evidence), 'first_s': round(one.first_s, 3),
-            'last_s': round(one.last_s, 3), 'stands': one.stands,
+    return {**finding_data(finding), 'who': bus.who(finding.device),
+            'first_s': round(one.first_s, 3), 'last_s': round(one.last_s, 3), 'stands': one.stands,
             'read_s': None if one.read_s is None else round(one.read_s, 3)}

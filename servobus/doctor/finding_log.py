@@ -13,12 +13,15 @@ from typing import NamedTuple
 from servobus.bus.report import BusReport
 from servobus.bus.report import Finding
 from servobus.doctor import RULES
+from servobus.doctor import timing_rules
+from servobus.plain import printable
 
 _RANK = {rule.name: rank for rank, rule in enumerate(RULES)}
 _EXPLAINS = {rule.name: rule.explains for rule in RULES}
 
 _Key = tuple[str, int | None]
 _SILENT = 'all_silent', None
+NEEDS_TIMES = frozenset(rule.name for rule in timing_rules.RULES)
 
 
 class Logged(NamedTuple):
@@ -72,3 +75,28 @@ class FindingLog:
         return not one.stands and any(
             rule in _EXPLAINS.get(by.finding.rule, ()) and by is not one
             and by.finding.device in (None, device) for by in self._entries.values())
+
+
+class BusSummary(NamedTuple):
+    """One bus at the end of a run; name '' where there is only one."""
+
+    name: str
+    report: BusReport
+    logged: tuple[Logged, ...]
+
+    @classmethod
+    def of(cls, name: str, report: BusReport, log: FindingLog, is_timed: bool) -> BusSummary:
+        """Return what is said of a bus; without times nothing that needs them."""
+        return cls(name, report, tuple(one for one in log.entries()
+                                       if is_timed or one.finding.rule not in NEEDS_TIMES))
+
+    def who(self, number: int | None) -> str:
+        """Return a device as a person knows it: '003 left_knee, MX-64'."""
+        place = f'{self.name}/' if self.name else ''
+        if number is None:
+            return f'bus {self.name}' if self.name else 'the bus'
+        device = next((one for one in self.report.devices if one.id == number), None)
+        if device is None:
+            return f'{place}{number:03}'
+        model = '' if device.model_name == 'unknown' else f', {device.model_name}'
+        return printable(f'{place}{device.name}{model}')

@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-A run of dxl_doctor: a monitor per bus, a report twice a second, until there is enough.
+A run: a monitor per bus, a report twice a second, and what the reports said from the first on.
 
 Time is that of the stamps; a live source reports in between that nothing came.
 """
@@ -10,19 +10,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from collections.abc import Sequence
+from typing import Protocol
 
 from msg_defs.event import Chunk
 from msg_defs.reports import Level
 from servobus.bus.decoder import DEFAULTS
+from servobus.bus.report import BusReport
 from servobus.doctor.case import OPTIONS
+from servobus.doctor.finding_log import BusSummary
+from servobus.doctor.finding_log import FindingLog
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 from servobus.settings import settings_of
 from servobus.sources.capture import Wire
-from servobus.sources.flight_recorder import FlightRecorder
-from servobus.tools.doctor.error_window import ErrorWindow
-from servobus.tools.doctor.finding_log import FindingLog
-from servobus.tools.doctor.verdict import BusSummary
 
 S = 1_000_000_000
 REPORT_NS = S // 2
@@ -31,16 +31,23 @@ TRAFFIC_S, SILENCE_S = 10.0, 5.0   # for a live source without --seconds
 LONGEST_PAUSE_NS = 12 * S          # a file is silent for longer: passed over, all is forgotten
 
 
+class Watcher(Protocol):
+    """Who has each chunk, and each report of each bus: a recorder."""
+
+    def take(self, wire: Wire, chunk: Chunk) -> None: ...
+
+    def look(self, bus: str, report: BusReport) -> None: ...
+
+
 class Examination:
     """What was heard so far; stamps are monotonic ns."""
 
     def __init__(self, models: Models, devices: Sequence[str] = (),
-                 protocol: str = DEFAULTS.protocol, flight: FlightRecorder | None = None) -> None:
+                 protocol: str = DEFAULTS.protocol, watchers: Sequence[Watcher] = ()) -> None:
         self.bytes = 0
         self.first = self.last = 0             # stamps of chunks; 0: none yet
-        self.window = ErrorWindow()
         self._models = models
-        self._flight = flight
+        self._watchers = watchers
         self._devices = devices
         self._protocol = protocol
         self._monitors: dict[str, Monitor] = {}
@@ -51,9 +58,8 @@ class Examination:
         """Take a chunk of a bus; wire: what the source knows of that bus."""
         self.pass_time(chunk.stamp)
         self._due = self._due or chunk.stamp + REPORT_NS
-        self.window.take(chunk, wire)
-        if self._flight is not None:
-            self._flight.take(wire, chunk)
+        for one in self._watchers:
+            one.take(wire, chunk)
         monitor = self._monitors.get(chunk.bus) or self._begin(chunk.bus, wire)
         monitor.take(chunk)
         if chunk.change is not None:
@@ -81,11 +87,8 @@ class Examination:
         for bus, monitor in self._monitors.items():
             report = monitor.report(now)
             self._logs[bus].take(report)
-            if self._flight is not None:
-                self._flight.look(bus, report)
-            if report.findings and not self.window.first_error and any(
-                    finding.level > Level.OK for finding in report.findings):
-                self.window.first_error = now
+            for one in self._watchers:
+                one.look(bus, report)
 
     @property
     def seconds(self) -> float:

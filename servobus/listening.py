@@ -1,0 +1,197 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Listen from inside of a program: around its own serial port, or to a source by its name.
+
+Around a port of pyserial there is no thread and no second process: what the program reads and
+writes is decoded in these very calls, and twice a second one of them makes a report as well
+(docs/library.md says what that costs).
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from collections.abc import Sequence
+from contextlib import ExitStack
+from threading import RLock
+import time
+from types import TracebackType
+from typing import Any
+
+from msg_defs.event import BAUD
+from msg_defs.event import Change
+from msg_defs.event import CHANGES
+from msg_defs.event import Chunk
+from msg_defs.event import CLOSED
+from msg_defs.event import IN
+from msg_defs.event import OUT
+from msg_defs.reports import Level
+from servobus.bus.decoder import DEFAULTS
+from servobus.bus.expected import parse_all
+from servobus.bus.report import BusReport
+from servobus.bus.report import Finding
+from servobus.errors import UsageError
+from servobus.examination import Examination
+from servobus.model.models import Models
+from servobus.settings import check_models
+from servobus.sources import tap_pyserial
+from servobus.sources.capture import Wire
+from servobus.sources.opening import open_source
+from servobus.sources.source import Source
+
+OnFinding = Callable[[Finding], object]
+
+
+def listen(port: Any, *, baud: int | None = None, devices: Sequence[str] = (),
+           protocol: str = DEFAULTS.protocol, models: Models | None = None,
+           on_finding: OnFinding | None = None) -> PortListening | SourceListening:
+    """
+    Listen to a bus for as long as the `with` block lasts.
+
+    port: an open port of pyserial, or the name of a source ('tap:arm', '/dev/ttyUSB1', a
+    recording), which is heard by run(). baud: bit/s; None: that of the port, or what the source
+    says. devices: what is on the bus, as '1-6:STS3215'. protocol: 'auto', '2', '1', 'feetech'.
+    on_finding: called with each finding of WARN or above when it begins; what it raises is raised
+    at the end of the block. Raises ParameterError, UsageError, PortError or OSError.
+    """
+    models = models or Models()
+    check_models(parse_all(devices), models)
+    news = _News(on_finding)
+    examination = Examination(models, devices, protocol, [news])
+    if isinstance(port, str):
+        return SourceListening(examination, news, open_source('servobus', port, baud))
+    if not all(hasattr(port, name) for name in ('read', 'write', 'baudrate', 'is_open')):
+        raise UsageError(f'{type(port).__name__}: not a port of pyserial; give an open '
+                         'serial.Serial, or the name of a source')
+    if not port.is_open:
+        raise UsageError(f'{port.port}: this port is not open; open it first')
+    return PortListening(examination, news, port, baud)
+
+
+class _News:
+    """A watcher that hands on each finding of WARN or above when it begins."""
+
+    def __init__(self, on_finding: OnFinding | None) -> None:
+        self.mistake: Exception | None = None  # the first that the function raised
+        self._on_finding = on_finding
+        self._known: dict[str, set[tuple[str, int | None]]] = {}
+
+    def take(self, wire: Wire, chunk: Chunk) -> None:
+        """Bytes are no news."""
+
+    def look(self, bus: str, report: BusReport) -> None:
+        """Hand on what was not in the last report of this bus."""
+        if self._on_finding is None:
+            return
+        serious = [one for one in report.findings if one.level >= Level.WARN]
+        before = self._known.get(bus, set())
+        self._known[bus] = {(one.rule, one.device) for one in serious}
+        for one in serious:
+            if (one.rule, one.device) not in before:
+                try:
+                    self._on_finding(one)
+                except Exception as mistake:   # not into the program's read or write
+                    self.mistake = self.mistake or mistake
+
+
+class Listening:
+    """A bus that is listened to; it may be asked from any thread."""
+
+    def __init__(self, examination: Examination, news: _News) -> None:
+        self._examination = examination
+        self._news = news
+        self._lock = RLock()                   # on_finding may ask for reports
+        self._stack = ExitStack()
+
+    @property
+    def findings(self) -> list[Finding]:
+        """What was found since the beginning, the worst first; what went away again as well."""
+        with self._lock:
+            return [one.finding for bus in self._examination.buses(is_timed=True)
+                    for one in bus.logged]
+
+    def reports(self) -> list[BusReport]:
+        """Return the last report of each bus: of a port there is one, once bytes came."""
+        with self._lock:
+            return [bus.report for bus in self._examination.buses(is_timed=True)]
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self._stack.close()
+        if self._news.mistake is not None and kind is None:
+            raise self._news.mistake
+
+
+class SourceListening(Listening):
+    """What comes from a source: a tap, a port of its own, or a recording."""
+
+    def __init__(self, examination: Examination, news: _News, source: Source) -> None:
+        super().__init__(examination, news)
+        self._source = source
+        self._stack.callback(source.close)
+
+    def __enter__(self) -> SourceListening:
+        return self
+
+    def run(self, seconds: float | None = None) -> None:
+        """Decode a recording to its end, or what a live source says for so long (None: ever)."""
+        until = None if seconds is None else time.monotonic() + seconds
+        is_over = True
+        for chunk in self._source.chunks():
+            with self._lock:
+                if chunk is not None:
+                    self._examination.take(chunk, self._source.wire(chunk.bus))
+                elif self._source.is_live:
+                    self._examination.pass_time(time.monotonic_ns())
+            if until is not None and time.monotonic() >= until:
+                is_over = not self._source.is_live
+                break
+        with self._lock:
+            now = time.monotonic_ns() if self._source.is_live else \
+                max(self._source.ended, self._examination.last)
+            self._examination.finish(now, is_over)
+
+
+class PortListening(Listening):
+    """What a program exchanges through its own port of pyserial."""
+
+    def __init__(self, examination: Examination, news: _News, port: Any,
+                 baud: int | None) -> None:
+        super().__init__(examination, news)
+        self._port = port
+        self._wire = Wire('', baud or int(port.baudrate), port=str(port.port))
+        self.serials = set[Any]()              # for tap_pyserial: more ports are not its matter
+
+    def __enter__(self) -> PortListening:
+        self._stack.callback(self._finish)
+        self._stack.enter_context(tap_pyserial.tapped(self._port, self))
+        return self
+
+    def _finish(self) -> None:
+        with self._lock:
+            self._examination.finish(time.monotonic_ns(), is_over=True)
+
+    # What the wrappers of tap_pyserial.py call, as they call a Sender.
+
+    def put(self, kind: str, number: int, data: bytes) -> None:
+        if kind in (OUT, IN):
+            self._accept(Chunk(time.monotonic_ns(), self._wire.name, data, kind))
+
+    def number(self, kind: str, number: int, value: int) -> None:
+        if kind in CHANGES:
+            self._accept(Chunk(time.monotonic_ns(), self._wire.name, change=Change(kind, value)))
+
+    def opened(self, name: str, baud: int) -> int:
+        self.rate(0, baud)
+        return 0
+
+    def rate(self, number: int, baud: int) -> None:
+        if baud != self._wire.baud:
+            self._wire = self._wire._replace(baud=baud)
+            self.number(BAUD, number, baud)
+
+    def closed(self, number: int) -> None:
+        self.number(CLOSED, number, 1)
+
+    def _accept(self, chunk: Chunk) -> None:
+        with self._lock:
+            self._examination.take(chunk, self._wire)
