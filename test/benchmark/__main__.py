@@ -17,8 +17,8 @@ from servobus.errors import UsageError
 from servobus.tools.cli import run_tool
 
 # Each is a module with run(options) -> list of figures.
-PLAIN = ('parsing', 'parsing_1', 'doctor', 'usb', 'tap', 'node_cost', 'bridge', 'start_up',
-         'dashboard')
+PLAIN = ('parsing', 'parsing_1', 'doctor', 'library', 'usb', 'tap', 'node_cost', 'bridge',
+         'start_up', 'dashboard')
 RIGS = {'soak': 'rigs'}     # in another folder than this one
 ALONE = ('thesis', 'load', 'soak')      # run when asked for by an option of that name
 NEEDS_ROS = ('node_cost', 'bridge', 'start_up', 'dashboard', *ALONE)
