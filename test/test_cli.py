@@ -90,7 +90,7 @@ def test_a_library_that_went_is_one_line():
 @pytest.mark.parametrize('tool', COMMANDS)
 def test_help_on_a_terminal_of_one_column(tool):
     done = subprocess.run(
-        [sys.executable, '-c', f'from servobus.tools.command import {tool}; {tool}()', '--help'],
+        [sys.executable, '-c', f'from mecarover_serial.command import {tool}; {tool}()', '--help'],
         env={**os.environ, 'COLUMNS': '1'}, capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stderr) == (0, '')
     assert f'usage: {tool}' in done.stdout or f'run mecarover_serial {tool}' in ' '.join(
