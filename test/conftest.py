@@ -18,6 +18,7 @@ import struct
 import subprocess
 import tempfile
 
+import forked
 from harness import Mcu
 import pytest
 from realtime import Rerun
@@ -77,6 +78,7 @@ def pytest_configure(config):
 
 
 def pytest_unconfigure(config):
+    forked.end()
     config.log_dir.cleanup()
     config.domain.release()
 

@@ -1,6 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """dxl_dump: what it lists, counts, shows, filters and records; and how it ends."""
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 import fcntl
 import json
@@ -16,6 +17,7 @@ import termios
 import threading
 import time
 
+import forked
 from harness import DEADLINE_S
 from harness import Program
 from harness import shown_on
@@ -71,22 +73,18 @@ def trickle(file, data, size):
             file.flush()
 
 
-def dump(*arguments, feed=b'', chunk=None, code=0, env=None, binary=False):
+def dump(*arguments, feed=b'', chunk=None, code=0, binary=False):
     """Run dxl_dump on what is fed to its stdin, return stdout."""
-    process = subprocess.Popen(
-        [sys.executable, '-m', DUMP, *map(str, arguments)], cwd=ROOT,
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        env={**os.environ, **(env or {})})
-    feeder = threading.Thread(target=trickle, args=(process.stdin, feed, chunk or len(feed) + 1))
+    its_end, ours = os.pipe()
+    feeder = threading.Thread(
+        target=trickle, args=(open(ours, 'wb'), feed, chunk or len(feed) + 1))      # noqa: SIM115
     feeder.start()
-    with process.stderr:
-        out = process.stdout.read()
-        err = process.stderr.read()
-    process.wait(DEADLINE_S)
+    with open(its_end, 'rb') as stdin:
+        done = forked.run(DUMP, *arguments, stdin=stdin)
     feeder.join()
-    assert process.returncode == code, err.decode()
-    assert b'Traceback' not in err
-    return out if binary else err.decode() if code else out.decode()
+    assert done.returncode == code, done.stderr.decode()
+    assert b'Traceback' not in done.stderr
+    return done.stdout if binary else done.stderr.decode() if code else done.stdout.decode()
 
 
 def objects(*arguments, **options):
@@ -301,13 +299,13 @@ def on_a_terminal(columns, *arguments, **env):
     fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack('4H', 24, columns, 0, 0))
     plain = {name: value for name, value in os.environ.items()
              if name not in ('COLUMNS', 'LINES', 'NO_COLOR')}
-    process = subprocess.Popen(
-        [sys.executable, '-m', DUMP, *map(str, arguments)], cwd=ROOT,
-        stdin=subprocess.DEVNULL, stdout=slave, env={**plain, 'TERM': 'xterm', **env})
-    os.close(slave)
-    shown = shown_on(master)
-    assert process.wait(DEADLINE_S) == 0
-    return shown
+    with ThreadPoolExecutor() as pool:
+        shown = pool.submit(shown_on, master)
+        with open(slave, 'wb') as screen:
+            done = forked.run(DUMP, *arguments, stdout=screen,
+                              env={**plain, 'TERM': 'xterm', **env})
+        assert done.returncode == 0
+        return shown.result()
 
 
 @pytest.mark.parametrize('columns', [60, 80, 132])
