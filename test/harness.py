@@ -44,7 +44,7 @@ def installed_share(*needed):
 
 
 def later(parameters, first):
-    """Leave all but the first parameters of a test, or all but some, to scripts/test --all."""
+    """Leave all but the first parameters of a test, or all but these, to scripts/test --all."""
     parameters = list(parameters)
     chosen = parameters[:first] if isinstance(first, int) else first
     return [one if one in chosen else pytest.param(

@@ -15,6 +15,7 @@ PING = f'ping, chunks of {calls.CHUNKS[0]}'
 BUS = next(iter(calls.BUSES))
 
 
+@pytest.mark.more
 @pytest.mark.parametrize('measure', [calls.of_packets, calls.of_reports])
 def test_nothing_costs_more_than_its_limit(measure):
     figures, limits = measure(), calls.limits()

@@ -557,9 +557,9 @@ def test_check_models(tmp_path):
 def test_a_capture_with_bad_lines_is_read_and_said(recorded):
     good = dump(recorded, '--summary')
     recorded.write_bytes(recorded.read_bytes() + b'(12.5 b')
-    _, out, err = shell(f'dxl_dump {recorded} --summary')
-    assert out == good
-    assert '1 lines do not belong in a capture' in err
+    done = forked.run_text(DUMP, recorded, '--summary')
+    assert done.stdout == good
+    assert '1 lines do not belong in a capture' in done.stderr
 
 
 @pytest.mark.parametrize('view', ['--summary', '--json', '--stats', ''])
@@ -571,8 +571,8 @@ def test_a_file_without_a_single_packet_is_asked_about(tmp_path, view):
     empty.write_bytes(b'')
     for path, lines in (noise, [f'dxl_dump: {noise}: 3100 bytes, but no packet; check that it is '
                                 'a recording of a servo bus, made at its baud rate']), (empty, []):
-        code, _, err = shell(f'dxl_dump {path} {view}')
-        assert (code, err.splitlines()) == (0, lines)
+        done = forked.run(DUMP, path, *view.split())
+        assert (done.returncode, done.stderr.decode().splitlines()) == (0, lines)
 
 
 def test_help_has_examples():
