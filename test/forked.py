@@ -110,23 +110,31 @@ def _read(descriptor, texts, name):
 def _serve(requests):
     """Fork for each request, and report each end. Returns in a fork: what to run there."""
     running = {}
+    ended, wakes = os.pipe()
+    os.set_blocking(wakes, False)
+    signal.set_wakeup_fd(wakes)
+    signal.signal(signal.SIGCHLD, lambda *_: None)
     while True:
-        for one in select.select([requests, *running], [], [])[0]:
-            if one is not requests:
-                pid, report = running.pop(one)
-                code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-                os.write(report, b'%d\n' % code)
-                os.close(report)
-                os.close(one)
-                continue
+        ready, _, _ = select.select([requests, ended], [], [])
+        if ended in ready:
+            os.read(ended, 4096)
+            for pid, report in list(running.items()):
+                done, status = os.waitpid(pid, os.WNOHANG)
+                if done:
+                    os.write(report, b'%d\n' % os.waitstatus_to_exitcode(status))
+                    os.close(report)
+                    del running[pid]
+        if requests in ready:
             request, descriptors, *_ = socket.recv_fds(requests, REQUEST_BYTES, 4)
             if not request:
                 sys.exit()
             if not (pid := os.fork()):
+                signal.set_wakeup_fd(-1)
+                signal.signal(signal.SIGCHLD, signal.SIG_DFL)
                 requests.detach()
                 return json.loads(request), descriptors[:3]
             os.write(descriptors[3], b'%d\n' % pid)
-            running[os.pidfd_open(pid)] = pid, descriptors.pop()
+            running[pid] = descriptors.pop()
             for descriptor in descriptors:
                 os.close(descriptor)
 
