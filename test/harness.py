@@ -14,6 +14,8 @@ import sys
 import threading
 import time
 
+import pytest
+
 from rigs.harness import children
 from rigs.harness import state
 from rigs.running_mcu import RunningMcu
@@ -39,6 +41,14 @@ def installed_share(*needed):
     except LookupError as error:
         return '', ('skipped: mecarover_serial is not in the ament index; build and source it '
                     f'({error})')
+
+
+def later(parameters, first):
+    """Leave all but the first parameters of a test, or all but these, to scripts/test --all."""
+    parameters = list(parameters)
+    chosen = parameters[:first] if isinstance(first, int) else first
+    return [one if one in chosen else pytest.param(
+        *(one if type(one) is tuple else (one,)), marks=pytest.mark.more) for one in parameters]
 
 
 def wait(condition, deadline_s=DEADLINE_S):

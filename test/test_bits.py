@@ -6,6 +6,7 @@ from random import Random
 
 from doctor_case import asks
 from doctor_case import case
+from harness import later
 import pytest
 
 from benchmark import baseline
@@ -98,13 +99,13 @@ def test_a_packet_that_breaks_off_is_no_wreck(noise):
 
 # --- what it looks like ------------------------------------------------------------------------
 
-@pytest.mark.parametrize(('draw', 'said'), [
+@pytest.mark.parametrize(('draw', 'said'), later([
     (uart.varied(clock=(1.06, 1.07), noise=0.05), bits.CLOCK),
     (uart.varied(rise=(0.58, 0.7), noise=0.03), f'{bits.LEVEL}: 1 read as 0'),
     (uart.varied(lift=(0.35, 0.37), noise=0.07), f'{bits.LEVEL}: 0 read as 1'),
     (uart.glitches(0.2), bits.INTERFERENCE),
     (uart.beats(47.0, 0.4), bits.PWM),
-], ids=['clock', 'edge', 'ground', 'glitches', 'PWM'])
+], 1), ids=['clock', 'edge', 'ground', 'glitches', 'PWM'])
 def test_what_does_it_is_told(draw, said):
     assert looks(heard(draw)).startswith(said)
 
@@ -216,6 +217,7 @@ def test_fewer_than_an_eighth_of_the_known_bits_are_wrong(turned, is_known):
 
 # --- the baseline -------------------------------------------------------------------------------
 
+@pytest.mark.more
 def test_it_is_as_in_the_baseline():
     kind = 'two with one ID, same delay'
     cells = baseline.FAMILIES['damage'][kind]()

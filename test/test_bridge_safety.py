@@ -15,6 +15,7 @@ from itertools import pairwise
 import math
 import random
 
+from harness import later
 import pytest
 
 from mecarover_fakes.receiver import Receiver
@@ -395,6 +396,9 @@ def history(seed, duration=4 * SECOND):
     return world
 
 
+FIRST_HISTORIES = 500                  # what scripts/test plays of them
+
+
 def check_histories(seeds):
     longest, accepted, spoiled = 0.0, 0, 0
     for seed in seeds:
@@ -409,8 +413,10 @@ def check_histories(seeds):
     assert spoiled > len(seeds)
 
 
-def test_wheels_never_turn_longer_than_allowed(request):
-    check_histories(range(request.config.getoption('--histories')))
+@pytest.mark.parametrize('is_rest', later([False, True], 1))
+def test_wheels_never_turn_longer_than_allowed(is_rest, request):
+    count = request.config.getoption('--histories')
+    check_histories(range(FIRST_HISTORIES, count) if is_rest else range(FIRST_HISTORIES))
 
 
 def drive(seed=1, period=33 * MS, **changes):

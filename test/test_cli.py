@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 
+from harness import later
 from harness import Program
 import pytest
 
@@ -47,7 +48,7 @@ def test_what_stands_outside_ros_args_is_one_line(module, arguments, thing, reme
 
 
 @pytest.mark.skipif(sys.platform != 'linux', reason='skipped: ulimit is of Linux')
-@pytest.mark.parametrize('files', [6, 8, 12])
+@pytest.mark.parametrize('files', later([6, 8, 12], 1))
 @pytest.mark.parametrize('words', [
     [BRIDGE], [MONITOR], ['mecarover_dashboard.serve', '--port', '0'],
     ['mecarover_dashboard.terminal', '--once']])
@@ -97,7 +98,8 @@ def test_help_on_a_terminal_of_one_column(tool):
         done.stdout.split())
 
 
-@pytest.mark.parametrize('tool', ['dxl_dump', 'dxl_dashboard', 'fake_mcu', 'vel2d_bridge'])
+@pytest.mark.parametrize('tool', later(
+    ['dxl_dump', 'dxl_dashboard', 'fake_mcu', 'vel2d_bridge'], ['dxl_dump', 'vel2d_bridge']))
 @pytest.mark.parametrize('module', ['contextlib', 'argparse'])
 def test_ctrl_c_while_modules_are_imported_shows_no_traceback(tmp_path, tool, module):
     """An import of it takes for ever; contextlib is among the first, argparse among the last."""

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the documentation promises: links lead somewhere, commands exist, figures hold."""
 import ast
+from functools import cache
 import json
 import os
 from pathlib import Path
@@ -121,6 +122,7 @@ def test_own_options_exist(page):
                 assert option in known, command
 
 
+@cache
 def help_text(program):
     file = ROOT / program if '/' in program else ROOT / 'resource/executables' / program
     done = subprocess.run([sys.executable, file, '--help'], capture_output=True, text=True,

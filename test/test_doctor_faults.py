@@ -6,6 +6,7 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
+from harness import later
 import pytest
 import test_doctor_edges
 import test_doctor_time
@@ -58,13 +59,6 @@ FAMILIES = (Family('Protocol 2.0', '2', CASES), Family('Feetech', 'feetech', FEE
             Family('Protocol 1.0', '1', DXL1_CASES),
             Family('Protocol 2.0, sides known', '2', SIDED, sided=True))
 PLAYED = [(family, case) for family in FAMILIES for case in family.cases]
-
-
-def later(parameters, first):
-    """Leave all but the first parameters of a test to scripts/test --all."""
-    return [*parameters[:first], *(
-        pytest.param(*(one if type(one) is tuple else (one,)), marks=pytest.mark.more)
-        for one in parameters[first:])]
 
 
 @cache
@@ -126,7 +120,7 @@ def scene_name(one):
         else f'{one:g} s'
 
 
-@pytest.mark.parametrize(('scene', 'seconds'), later(HEALTHY, 2), ids=scene_name)
+@pytest.mark.parametrize(('scene', 'seconds'), later(HEALTHY, 1), ids=scene_name)
 def test_good_traffic_is_no_finding(scene, seconds):
     """At OK there is advice, only of one broadcast Ping after the other."""
     assert {key for report in reports([], scene, seconds) for key in told(report)} \

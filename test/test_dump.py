@@ -1,6 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """dxl_dump: what it lists, counts, shows, filters and records; and how it ends."""
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 import fcntl
 import json
@@ -16,6 +17,7 @@ import termios
 import threading
 import time
 
+import forked
 from harness import DEADLINE_S
 from harness import Program
 from harness import shown_on
@@ -71,22 +73,18 @@ def trickle(file, data, size):
             file.flush()
 
 
-def dump(*arguments, feed=b'', chunk=None, code=0, env=None, binary=False):
+def dump(*arguments, feed=b'', chunk=None, code=0, binary=False):
     """Run dxl_dump on what is fed to its stdin, return stdout."""
-    process = subprocess.Popen(
-        [sys.executable, '-m', DUMP, *map(str, arguments)], cwd=ROOT,
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        env={**os.environ, **(env or {})})
-    feeder = threading.Thread(target=trickle, args=(process.stdin, feed, chunk or len(feed) + 1))
+    its_end, ours = os.pipe()
+    feeder = threading.Thread(
+        target=trickle, args=(open(ours, 'wb'), feed, chunk or len(feed) + 1))      # noqa: SIM115
     feeder.start()
-    with process.stderr:
-        out = process.stdout.read()
-        err = process.stderr.read()
-    process.wait(DEADLINE_S)
+    with open(its_end, 'rb') as stdin:
+        done = forked.run(DUMP, *arguments, stdin=stdin)
     feeder.join()
-    assert process.returncode == code, err.decode()
-    assert b'Traceback' not in err
-    return out if binary else err.decode() if code else out.decode()
+    assert done.returncode == code, done.stderr.decode()
+    assert b'Traceback' not in done.stderr
+    return done.stdout if binary else done.stderr.decode() if code else done.stdout.decode()
 
 
 def objects(*arguments, **options):
@@ -301,13 +299,13 @@ def on_a_terminal(columns, *arguments, **env):
     fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack('4H', 24, columns, 0, 0))
     plain = {name: value for name, value in os.environ.items()
              if name not in ('COLUMNS', 'LINES', 'NO_COLOR')}
-    process = subprocess.Popen(
-        [sys.executable, '-m', DUMP, *map(str, arguments)], cwd=ROOT,
-        stdin=subprocess.DEVNULL, stdout=slave, env={**plain, 'TERM': 'xterm', **env})
-    os.close(slave)
-    shown = shown_on(master)
-    assert process.wait(DEADLINE_S) == 0
-    return shown
+    with ThreadPoolExecutor() as pool:
+        shown = pool.submit(shown_on, master)
+        with open(slave, 'wb') as screen:
+            done = forked.run(DUMP, *arguments, stdout=screen,
+                              env={**plain, 'TERM': 'xterm', **env})
+        assert done.returncode == 0
+        return shown.result()
 
 
 @pytest.mark.parametrize('columns', [60, 80, 132])
@@ -559,9 +557,9 @@ def test_check_models(tmp_path):
 def test_a_capture_with_bad_lines_is_read_and_said(recorded):
     good = dump(recorded, '--summary')
     recorded.write_bytes(recorded.read_bytes() + b'(12.5 b')
-    _, out, err = shell(f'dxl_dump {recorded} --summary')
-    assert out == good
-    assert '1 lines do not belong in a capture' in err
+    done = forked.run_text(DUMP, recorded, '--summary')
+    assert done.stdout == good
+    assert '1 lines do not belong in a capture' in done.stderr
 
 
 @pytest.mark.parametrize('view', ['--summary', '--json', '--stats', ''])
@@ -573,8 +571,8 @@ def test_a_file_without_a_single_packet_is_asked_about(tmp_path, view):
     empty.write_bytes(b'')
     for path, lines in (noise, [f'dxl_dump: {noise}: 3100 bytes, but no packet; check that it is '
                                 'a recording of a servo bus, made at its baud rate']), (empty, []):
-        code, _, err = shell(f'dxl_dump {path} {view}')
-        assert (code, err.splitlines()) == (0, lines)
+        done = forked.run(DUMP, path, *view.split())
+        assert (done.returncode, done.stderr.decode().splitlines()) == (0, lines)
 
 
 def test_help_has_examples():

@@ -21,6 +21,7 @@ import sys
 import textwrap
 import zipfile
 
+import forked
 from harness import Program
 from harness import wait
 import pytest
@@ -92,6 +93,8 @@ def capture(path, *faults, seconds=6.0):
 
 def doctor(*arguments, env=None, cwd=ROOT):
     """Run dxl_doctor where there is no terminal."""
+    if 'run' not in arguments and env is None:
+        return forked.run_text(DOCTOR, *arguments, cwd=cwd)
     return subprocess.run([sys.executable, '-m', DOCTOR, *map(str, arguments)], cwd=cwd,
                           timeout=60, capture_output=True, text=True, stdin=subprocess.DEVNULL,
                           env={**os.environ, 'PYTHONPATH': str(ROOT), **(env or {})})

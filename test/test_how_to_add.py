@@ -86,6 +86,7 @@ print(model.name, [field.name for field in model.fields])
 """) == "Gripper ['Model Number', 'Present Position']"
 
 
+@pytest.mark.more
 def test_an_instruction(copy):
     code = copy('an instruction')
     code.change('msg_defs/dxl_instruction.py',
@@ -165,6 +166,7 @@ for _ in range(3000):
 """) == ''
 
 
+@pytest.mark.more
 def test_a_finding(copy):
     code = copy('a finding')
     code.change('servobus/doctor/health.py',
@@ -206,6 +208,7 @@ for device in report.devices:
 """).splitlines() == ['it has no joint name; give it one', 'None']
 
 
+@pytest.mark.more
 def test_a_value_in_a_status(copy):
     code = copy('a value in a status')
     code.change('servobus/status.py', (
@@ -237,6 +240,7 @@ print(row['errors'], b'"Kinds of errors"' in _files()['figures.js'])
 """) == '0 True'
 
 
+@pytest.mark.more
 def test_a_usb_adapter_family(copy):
     code = copy('a USB adapter family')
     code.change('servobus/sources/adapters.py', ('# All that is understood.', """\
@@ -266,6 +270,7 @@ class Xr21(Adapter):
     code.passes('test_usb.py', 'family or xr21 or descriptors', 20)
 
 
+@pytest.mark.more
 def test_a_topic(copy):
     code = copy('a topic')
     code.change('servobus/monitor.py', (

@@ -8,6 +8,7 @@ servo is unplugged for a while, one reports a voltage error, which makes its ans
 instructions.
 """
 
+from harness import later
 import pytest
 
 from mecarover_fakes.fake_bus import make_devices
@@ -38,8 +39,8 @@ def write(step):
         bytes([one]) + where for one in IDS), True)
 
 
-@pytest.mark.parametrize(('protocol', 'has_sides'), [
-    ('auto', False), ('auto', True), ('feetech', False), ('feetech', True)])
+@pytest.mark.parametrize(('protocol', 'has_sides'), later([
+    ('auto', False), ('auto', True), ('feetech', False), ('feetech', True)], 1))
 def test_an_so_101_on_the_move(protocol, has_sides):
     devices = make_devices(['1-6:STS3215'], MODELS, BAUD, moving=False, dialect='feetech')
     master = Master(make_line(devices, BAUD, 'feetech', waits_in_line=False), none)

@@ -5,21 +5,12 @@ import gzip
 import os
 from pathlib import Path
 import shlex
-import subprocess
-import sys
 
-from harness import DEADLINE_S
-from harness import ROOT
+import forked
 import pytest
 
 from rigs.tables import rows_of
 
-MODULES = {
-    'dxl_dump': 'servobus.tools.dxl_dump', 'dxl_doctor': 'servobus.tools.dxl_doctor',
-    'dxl_replay': 'servobus.tools.replay', 'dxl_dashboard': 'mecarover_dashboard.serve',
-    'mecarover_status': 'mecarover_dashboard.terminal', 'fake_bus': 'mecarover_fakes.fake_bus',
-    'fake_mcu': 'mecarover_fakes.fake_mcu',
-}
 CAPTURE = '# dxl_capture 2 began 2026-09-21T14:13:20.000000Z at 1.000000000\n'
 ROWS = rows_of(Path(__file__).with_name('mistakes.tsv'))
 
@@ -42,11 +33,9 @@ def names(tmp_path):
 @pytest.mark.parametrize(('program', 'typed', 'code', 'said'), ROWS)
 def test_a_mistake_is_one_line(program, typed, code, said, names):
     before = names['capture'].read_bytes()
-    done = subprocess.run(
-        [sys.executable, '-m', MODULES[program],
-         *(word.format(**names) for word in shlex.split(typed))], cwd=ROOT, text=True,
-        stdin=subprocess.DEVNULL, capture_output=True, timeout=DEADLINE_S, check=False)
-    assert (done.returncode, done.stdout) == (int(code), '')
-    [line] = done.stderr.splitlines()
+    done = forked.run(forked.TOOLS[program],
+                      *(word.format(**names) for word in shlex.split(typed)))
+    assert (done.returncode, done.stdout) == (int(code), b'')
+    [line] = done.stderr.decode().splitlines()
     assert line.startswith(f'{program}: {said.format(**names)}')
     assert names['capture'].read_bytes() == before

@@ -13,6 +13,8 @@ import subprocess
 import sys
 import time
 
+import forked
+from harness import later
 from harness import wait
 import pytest
 from usb_files import events
@@ -67,9 +69,7 @@ BEGAN = 1_795_329_340_000_000_000
 
 
 def dump(*arguments, **more):
-    return subprocess.run([sys.executable, '-m', 'servobus.tools.dxl_dump',
-                           *map(str, arguments)], capture_output=True, text=True, cwd=ROOT,
-                          check=False, timeout=60, **more)
+    return forked.run_text('servobus.tools.dxl_dump', *arguments, **more)
 
 
 # --- where an adapter is -----------------------------------------------------------------------
@@ -422,8 +422,12 @@ def said_of(monitor):
         (one.id, one.totals, one.model_name, one.state) for one in report.devices]
 
 
-@pytest.mark.parametrize('turn', range(7))
-@pytest.mark.parametrize('family', FAMILIES)
+TURNS = [(family, turn) for family in FAMILIES for turn in range(7)]
+
+
+# In scripts/test each family has a seventh of the sizes, each another one.
+@pytest.mark.parametrize(('family', 'turn'), later(
+    TURNS, [(family, turn) for turn, family in enumerate(FAMILIES)]))
 def test_same_report_through_every_adapter_cut_at_every_size(family, turn):
     """Each size once with each family, each scene at least three times: what the pty gives."""
     for number, size in list(enumerate(SIZES))[turn::7]:

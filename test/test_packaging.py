@@ -35,6 +35,7 @@ def prefix(tmp_path_factory):
     return prefix
 
 
+@pytest.mark.more
 def test_index_marker_and_share(prefix):
     share = prefix / 'share'
     assert (share / 'ament_index/resource_index/packages' / NAME).read_text() == ''
@@ -46,6 +47,7 @@ def test_index_marker_and_share(prefix):
         assert here ^ there <= {'__pycache__'}              # pip compiles what it installs
 
 
+@pytest.mark.more
 @pytest.mark.parametrize('tool', COMMANDS)
 def test_ros2_run_finds_and_starts(prefix, tool):
     executable = prefix / 'lib' / NAME / tool
@@ -60,6 +62,7 @@ def test_ros2_run_finds_and_starts(prefix, tool):
     assert max(map(len, done.stdout.splitlines())) <= 80
 
 
+@pytest.mark.more
 def test_models_are_installed(prefix):
     [models] = prefix.glob('lib/python*/site-packages/servobus/model/files')
     assert {path.name for path in models.glob('*.yaml')} \

@@ -10,11 +10,10 @@ from pathlib import Path
 from random import Random
 import re
 import sqlite3
-import subprocess
-import sys
 from urllib.request import urlopen
 
 from dashboard_page import Dashboard
+import forked
 from harness import Program
 import pytest
 from synthetic_robot import serialise
@@ -46,8 +45,6 @@ ROOT = Path(__file__).parents[1]
 # Colour, title, clear screen, C1, bidi override, line separators, a bell: and a line of our own.
 EVIL = '=evil\x1b[31m\x1b]0;t\x07\x1b[2J\x9b31m\u202e\u2028\r\nall is well\x00\x7f'
 LONE = '\udc9b'                 # a byte that is no UTF-8, as Python has it in a name of a file
-TOOLS = {'dxl_dump': 'servobus.tools.dxl_dump', 'dxl_doctor': 'servobus.tools.dxl_doctor',
-         'dxl_replay': 'servobus.tools.replay', 'dxl_dashboard': 'mecarover_dashboard.serve'}
 SECOND = 1_000_000_000
 
 
@@ -58,8 +55,7 @@ def is_safe(text):
 
 def run(tool, *arguments):
     """Return the exit code and what a tool prints, colours left out."""
-    done = subprocess.run([sys.executable, '-m', TOOLS[tool], *arguments], cwd=ROOT, timeout=60,
-                          stdin=subprocess.DEVNULL, capture_output=True, check=False)
+    done = forked.run(forked.TOOLS[tool], *arguments)
     text = (done.stdout + done.stderr).decode()
     assert 'Traceback' not in text
     return done.returncode, re.sub('\033\\[[0-9;]*m', '', text)
@@ -105,8 +101,8 @@ def test_what_is_recorded_of_a_capture_is_safe(capture, tmp_path):
 
 
 def test_a_capture_that_is_played(capture, tmp_path):
-    with Program(TOOLS['dxl_replay'], capture, '--speed', '0', '--link', str(tmp_path / 'bus'),
-                 '--bus', printable(f'{EVIL} answers')) as player:
+    with Program(forked.TOOLS['dxl_replay'], capture, '--speed', '0', '--link',
+                 str(tmp_path / 'bus'), '--bus', printable(f'{EVIL} answers')) as player:
         player.wait_for('waiting for a reader')
         with suppress(OSError), open(tmp_path / 'bus', 'rb', buffering=0) as reader:
             while reader.read(4096):            # until it ends
