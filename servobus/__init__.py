@@ -8,9 +8,7 @@ imported when it is first used: opening a port does not load the doctor.
 """
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING
-
+TYPE_CHECKING = False               # not from typing: it is the first import of every command
 if TYPE_CHECKING:
     from msg_defs.event import Change
     from msg_defs.event import Chunk
@@ -58,6 +56,7 @@ __all__ = [
 def __getattr__(name: str) -> object:
     if name not in _HOME_OF:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    from importlib import import_module
     found = getattr(import_module(_HOME_OF[name]), name)
     globals()[name] = found
     return found
