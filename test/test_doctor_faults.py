@@ -185,6 +185,15 @@ def test_two_masters_are_named_in_chunks_as_a_pty_has_them():
     assert told(last) == (('two_masters', None),)
 
 
+@pytest.mark.parametrize(('fault', 'scene'), [
+    ('impatient::2', Scene(gather=2 * MS)), ('impatient::2', DXL1._replace(gather=2 * MS)),
+    ('two_masters::2', FEETECH._replace(rate=100.0, gather=2 * MS))], ids=str)
+def test_packets_that_overlap_are_no_noise_in_chunks_as_a_pty_has_them(fault, scene):
+    *before, last = reports([fault], scene, 8)
+    assert 'noise' not in {rule for report in (*before, last) for rule, _ in told(report)}
+    assert told(last) or any(one.message.startswith('packets overlap') for one in last.doubts)
+
+
 def heard(monitor, *runs):
     """Return what is said of healthy runs, each (from, to) in s, reported twice a second."""
     said, now = set(), S // 2

@@ -28,6 +28,7 @@ from dxl_monitor.bus.report import Incident
 from dxl_monitor.bus.report import IncidentKind
 from dxl_monitor.bus.report import Wait
 from dxl_monitor.bus.table import Observed
+from dxl_monitor.doctor.bits import laid_over
 from dxl_monitor.doctor.bits import look
 from dxl_monitor.doctor.bits import shapes
 from dxl_monitor.doctor.bits import Wreck
@@ -120,6 +121,7 @@ class Case:
     steady: set[Key]                   # instructions that kept time, once
     names: Names = PARAMETERS
     quiet_s: float = 0.0               # since the last instruction, where that is unusual
+    has_overlaps: bool = False         # questions were inside something else, in the window
     run_from: int = 0                  # stamp of the first instruction since a long pause
     wrecks: Sequence[Wreck] = ()       # damaged packets that are recognised
     clocks: Sequence[TwoClocks] = ()   # instructions that two loops repeat
@@ -282,7 +284,7 @@ class History:
         self._highest: dict[int, float] = {}
         self._clocks: dict[Key, TwoClocks] = {}
         self._asked = self._pause = 0  # stamp of the last instruction, and how old it was
-        self._run_from = 0
+        self._run_from = self._overlapped = 0
         self._pauses: deque[tuple[int, int]] = deque(maxlen=KEPT)
         self._wrecks: deque[tuple[int, Wreck]] = deque(maxlen=KEPT)
         self._noise = 0                # bytes of it that were looked at
@@ -307,8 +309,10 @@ class History:
             self._look_for_clocks(report, before)
         case = Case(report, self._seen, self._marks, self._samples, self._repeats,
                     self._rhythms[1], self._steady, self._names,
-                    self._quiet_s(report), self._run_from, self._recognised(report, before),
-                    [*self._clocks.values()], self._highest)
+                    self._quiet_s(report),
+                    wrecks=self._recognised(report, before), run_from=self._run_from,
+                    has_overlaps=0 < self._overlapped > before,
+                    clocks=[*self._clocks.values()], highest=self._highest)
         self._sample(case, before)
         for rhythm in case.rhythms if fresh else ():
             self._repeats.update(
@@ -338,6 +342,8 @@ class History:
         if fresh > 0:
             found = wrecks(report.noise[-fresh:], shapes(report))
             self._wrecks.extend((report.stamp, one) for one in found)
+            if laid_over(report):
+                self._overlapped = report.stamp
         while self._wrecks and self._wrecks[0][0] < before:
             self._wrecks.popleft()
         return [one for _, one in self._wrecks]
@@ -362,8 +368,8 @@ class History:
         if self._asked and report.asked - self._asked < REST_NS:
             return
         since = max(self._asked + 1, report.started)
-        first = min((stamp for cycle in report.cycles for stamp in cycle.stamps
-                     if stamp >= since), default=report.asked)
+        first = min([stamp for cycle in report.cycles for stamp in cycle.stamps
+                     if stamp >= since], default=report.asked)
         if not self._asked or first - self._asked >= REST_NS:
             self._run_from = first
 
