@@ -3,9 +3,9 @@
 """
 The faults of fake_bus as a user meets them: two programs and a pty, in real time.
 
-    python -m rigs.pty_faults                      all faults, and healthy traffic of each pattern
-    python -m rigs.pty_faults two_masters healthy  some
-    python -m rigs.pty_faults --busy 2 noise       beside two busy loops
+    python -m benchmark.pty_faults                      all faults, and healthy traffic of each pattern
+    python -m benchmark.pty_faults two_masters healthy  some
+    python -m benchmark.pty_faults --busy 2 noise       beside two busy loops
 
 fake_bus has devices and pattern as in benchmark/confusion_cases.tsv, dxl_doctor listens for 10 s.
 What it must say is in that file. Exits with the number of rows that are not right.
@@ -157,7 +157,7 @@ def main():
                 lambda case: play(case, options.rate), cases), strict=True):
             said = verdict(case, answer)
             wrong += said != 'right'
-            print(f'{case.scene.dialect:8}{label(case) + ' ':36}{said:11}expected: '
+            print(f'{case.scene.dialect:8}{label(case):35} {said:11}expected: '
                   f'{words(case.told) or "-"}; said: {words(answer.warned) or "-"}'
                   + (f' (OK: {words(answer.others)})' if answer.others else ''), flush=True)
             if said != 'right' and answer.messages:
