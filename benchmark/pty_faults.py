@@ -3,7 +3,7 @@
 """
 The faults of fake_bus as a user meets them: two programs and a pty, in real time.
 
-    python -m benchmark.pty_faults                      all faults, and healthy traffic of each pattern
+    python -m benchmark.pty_faults                      all, and healthy traffic of each pattern
     python -m benchmark.pty_faults two_masters healthy  some
     python -m benchmark.pty_faults --busy 2 noise       beside two busy loops
 
