@@ -98,7 +98,7 @@ def case(*devices, notes=(), counters=None, marks=None, samples=None, repeats=No
               for age, values in sorted((marks or {10: {}, 0: {}}).items(), reverse=True)),
         {number: deque(some) for number, some in (samples or {}).items()}, repeats or {},
         rhythms or [], steady or set())
-    found.quiet_s = quiet_s
+    found.quiet_s, found.run_from = quiet_s, told.started
     return found
 
 

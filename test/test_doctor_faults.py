@@ -33,17 +33,24 @@ from benchmark.confusion_cases import keys_of
 from benchmark.confusion_cases import Scene
 from benchmark.confusion_cases import SCENES
 from mecarover_fakes.fake_bus import DEFAULT_DEVICES
+from mecarover_fakes.fake_bus import make_devices
+from mecarover_fakes.fake_bus import make_line
 from mecarover_fakes.faults import KINDS
+from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import FAMILY_1
 from mecarover_fakes.traffic import PATTERNS
 from rigs.tables import rows_of
+from servobus.bus.decoder import Settings
 from servobus.doctor import feetech
 from servobus.doctor import RULES
 from servobus.doctor import setting_up
+from servobus.model.models import Models
+from servobus.monitor import Monitor
 
 LONG = 140                         # characters of a line that one reads at a glance
 ENOUGH = 25                        # faults of each protocol
-MS = 1_000_000
+MS, S = 1_000_000, 1_000_000_000
+MODELS = Models()
 
 
 class Family(NamedTuple):
@@ -170,3 +177,41 @@ def test_two_masters_are_named_in_chunks_as_a_pty_has_them():
     scene = Scene(devices=DEFAULT_DEVICES, rate=100.0, gather=2 * MS)
     *_, last = reports(['two_masters::2'], scene, 8)
     assert told(last) == (('two_masters', None),)
+
+
+@pytest.mark.parametrize(('fault', 'scene'), [
+    ('impatient::2', Scene(gather=2 * MS)), ('impatient::2', DXL1._replace(gather=2 * MS)),
+    ('two_masters::2', FEETECH._replace(rate=100.0, gather=2 * MS))], ids=str)
+def test_packets_that_overlap_are_no_noise_in_chunks_as_a_pty_has_them(fault, scene):
+    *before, last = reports([fault], scene, 8)
+    assert 'noise' not in {rule for report in (*before, last) for rule, _ in told(report)}
+    assert told(last) or any(one.message.startswith('packets overlap') for one in last.doubts)
+
+
+def heard(monitor, *runs):
+    """Return what is said of healthy runs, each (from, to) in s, reported twice a second."""
+    said, now = set(), S // 2
+    for begin, end in runs:
+        while now < begin * S:
+            said.update(one.message for one in monitor.report(now).findings)
+            now += S // 2
+        line = make_line(make_devices(['1-5:MX-106'], MODELS, 2_000_000), 2_000_000)
+        for burst in Master(line, PATTERNS['sync'], rate=20.0).bursts(round((end - begin) * S)):
+            while now < begin * S + burst.end:
+                said.update(one.message for one in monitor.report(now).findings)
+                now += S // 2
+            monitor.feed(burst.data, round(begin * S) + burst.end)
+    for _ in range(80):
+        said.update(one.message for one in monitor.report(now).findings)
+        now += S // 2
+    return said
+
+
+def test_a_short_command_on_an_idle_bus_is_no_master_that_stopped():
+    assert heard(Monitor('bus', MODELS, Settings()), (60, 61.5)) == set()
+    assert heard(Monitor('bus', MODELS, Settings()), (60, 61.5), (80, 81.5)) == set()
+
+
+def test_a_master_that_stops_is_named_with_the_time_of_its_last_run():
+    [said] = heard(Monitor('bus', MODELS, Settings()), (20, 21), (35, 39))
+    assert said.startswith('the master stopped after it had asked for 4.0 s: ')

@@ -20,6 +20,8 @@ from msg_defs.crc import crc16
 from msg_defs.dxl1_packet import HEADER as FAMILY_HEADER
 from msg_defs.dxl1_packet import MAX_LENGTH as MAX_LENGTH_1
 from msg_defs.dxl_instruction import Instruction
+from msg_defs.dxl_packet import BROADCAST
+from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import HEADER
 from msg_defs.dxl_packet import MAX_LENGTH
 from msg_defs.dxl_packet import STATUS
@@ -38,6 +40,10 @@ ON_TIME = 3 / 4                    # are multiples of it: by chance 1 in 5
 SAME = 1.5                         # bits: distances so near are the same one
 BOTH_WAYS = 1 / 4                  # packets with a first wrong bit that went the rarer way
 FAR = 15                           # bits: nearer ones are one pulse, not two
+LEFT = 0.4                         # share of a question's ones: in other bytes fewer fit by chance
+FLIPPED = 2                        # wrong bits: more is another packet, not noise
+GROUPS = (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ)
+_Question = tuple[int, tuple[int, ...], int | None, int]     # instruction, IDs, address, length
 LINE_BITS = 10                     # a byte on the line, start and stop bit with it
 
 CLOCK = 'a wrong clock rate: the last bits of bytes are wrong'
@@ -267,3 +273,37 @@ def _on_grid(gaps: Sequence[int], period: float) -> float:
     """Return the share of distances that are near a multiple of a period."""
     return sum(abs(gap - round(gap / period) * period) <= SAME and gap > period / 2
                for gap in gaps) / len(gaps)
+
+
+# --- two talkers at once -----------------------------------------------------------------------
+
+def laid_over(report: BusReport) -> int:
+    """Return how many questions were wholly inside something else, as far as the last noise."""
+    return _overlaid(report.noise, tuple([
+        (one.instruction, one.ids, one.address, one.length) for one in report.cycles]))
+
+
+@lru_cache(maxsize=8)
+def _overlaid(noise: bytes, questions: tuple[_Question, ...]) -> int:
+    """Return how many questions are in the noise with bits lost and none added."""
+    heard, found = int.from_bytes(noise, 'big'), 0
+    for packet in filter(None, (packet_of(*question) for question in questions)):
+        sent, size = int.from_bytes(packet, 'big'), 8 * len(packet)
+        ones, whole = sent.bit_count(), (1 << size) - 1
+        for shift in range(0, 8 * len(noise) - size + 1, 8):
+            if not heard >> shift & whole & ~sent:
+                left = (heard >> shift & whole).bit_count()
+                found += LEFT * ones < left < ones - FLIPPED
+    return found
+
+
+def packet_of(instruction: int, ids: tuple[int, ...], address: int | None, length: int) -> bytes:
+    """Return the packet of a question that is the same each time, b'' for anything else."""
+    if not ids or address is None:
+        return b''
+    at = address.to_bytes(2, 'little') + length.to_bytes(2, 'little')
+    if instruction == Instruction.READ:
+        return encode(ids[0], instruction, at)
+    if instruction in GROUPS:
+        return encode(BROADCAST, instruction, at + bytes(ids))
+    return b''

@@ -28,6 +28,7 @@ from servobus.bus.report import Incident
 from servobus.bus.report import IncidentKind
 from servobus.bus.report import Wait
 from servobus.bus.table import Observed
+from servobus.doctor.bits import laid_over
 from servobus.doctor.bits import look
 from servobus.doctor.bits import shapes
 from servobus.doctor.bits import Wreck
@@ -43,6 +44,7 @@ WINDOW_NS = 10 * S
 KEPT = 1000                        # incidents of a kind; and as many marks of time
 RHYTHM_NS = 750 * MS               # between two looks at the rhythms: they cost most
 QUIET_NS = 625 * MS                # without an instruction: nothing new is judged
+REST_NS = 10 * S                   # without an instruction: what comes then is another run
 PAUSES_NS = 60 * S                 # so far back pauses of the master are usual ones
 ALWAYS = 0.9                       # this share of the time: as good as each time
 WEAK = 5                           # damaged answers
@@ -119,6 +121,8 @@ class Case:
     steady: set[Key]                   # instructions that kept time, once
     names: Names = PARAMETERS
     quiet_s: float = 0.0               # since the last instruction, where that is unusual
+    has_overlaps: bool = False         # questions were inside something else, in the window
+    run_from: int = 0                  # stamp of the first instruction since a long pause
     wrecks: Sequence[Wreck] = ()       # damaged packets that are recognised
     clocks: Sequence[TwoClocks] = ()   # instructions that two loops repeat
     highest: dict[int, float] = field(default_factory=dict)    # V of each device, since the start
@@ -280,6 +284,7 @@ class History:
         self._highest: dict[int, float] = {}
         self._clocks: dict[Key, TwoClocks] = {}
         self._asked = self._pause = 0  # stamp of the last instruction, and how old it was
+        self._run_from = self._overlapped = 0
         self._pauses: deque[tuple[int, int]] = deque(maxlen=KEPT)
         self._wrecks: deque[tuple[int, Wreck]] = deque(maxlen=KEPT)
         self._noise = 0                # bytes of it that were looked at
@@ -304,8 +309,10 @@ class History:
             self._look_for_clocks(report, before)
         case = Case(report, self._seen, self._marks, self._samples, self._repeats,
                     self._rhythms[1], self._steady, self._names,
-                    self._quiet_s(report), self._recognised(report, before),
-                    [*self._clocks.values()], self._highest)
+                    self._quiet_s(report),
+                    wrecks=self._recognised(report, before), run_from=self._run_from,
+                    has_overlaps=0 < self._overlapped > before,
+                    clocks=[*self._clocks.values()], highest=self._highest)
         self._sample(case, before)
         for rhythm in case.rhythms if fresh else ():
             self._repeats.update(
@@ -335,6 +342,8 @@ class History:
         if fresh > 0:
             found = wrecks(report.noise[-fresh:], shapes(report))
             self._wrecks.extend((report.stamp, one) for one in found)
+            if laid_over(report):
+                self._overlapped = report.stamp
         while self._wrecks and self._wrecks[0][0] < before:
             self._wrecks.popleft()
         return [one for _, one in self._wrecks]
@@ -346,12 +355,23 @@ class History:
         pause = report.stamp - report.asked
         if report.asked != self._asked:
             self._pauses.append((report.stamp, self._pause))
+            self._note_run(report)
             self._asked = report.asked
         self._pause = pause
         while self._pauses and self._pauses[0][0] < report.stamp - PAUSES_NS:
             self._pauses.popleft()
         usual = max((one for _, one in self._pauses), default=0)
         return pause / S if pause > max(QUIET_NS, 2 * usual) else 0.0
+
+    def _note_run(self, report: BusReport) -> None:
+        """Note where the master began again, after a long pause or for the first time."""
+        if self._asked and report.asked - self._asked < REST_NS:
+            return
+        since = max(self._asked + 1, report.started)
+        first = min([stamp for cycle in report.cycles for stamp in cycle.stamps
+                     if stamp >= since], default=report.asked)
+        if not self._asked or first - self._asked >= REST_NS:
+            self._run_from = first
 
     def _take_incidents(self, incidents: tuple[Incident[Any], ...]) -> None:
         new = []

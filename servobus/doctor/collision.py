@@ -13,22 +13,27 @@ from __future__ import annotations
 from functools import lru_cache
 
 from msg_defs.dxl_instruction import Instruction
-from msg_defs.dxl_packet import BROADCAST
-from msg_defs.dxl_packet import encode
 from servobus.bus import evidence as ev
 from servobus.bus.report import Cycle
 from servobus.bus.report import PROTOCOL_2
+from servobus.doctor.bits import FLIPPED
+from servobus.doctor.bits import GROUPS
+from servobus.doctor.bits import laid_over
+from servobus.doctor.bits import packet_of
+from servobus.doctor.bits import SPEAKERS
 from servobus.doctor.bits import wrong_bits
 from servobus.doctor.case import Case
 
 FEW = 3
 MOSTLY = 0.3                       # among damaged instructions; bits turned over by chance: 0.1
-FLIPPED = 2                        # wrong bits: more is another packet, not noise
-LEFT = 0.4                         # share of a question's ones: in other bytes fewer fit by chance
 TAIL = 6                           # bytes: the CRC is among them, so they are not there by chance
-_GROUPS = (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ)
 _WRITES = (Instruction.WRITE, Instruction.REG_WRITE)
-_Question = tuple[int, tuple[int, ...], int | None, int]     # instruction, IDs, address, length
+
+
+def may_overlap(case: Case) -> bool:
+    """Tell whether damage in answers may be packets that overlap, so that it is no cable's."""
+    return is_collision(case) or case.has_overlaps \
+        or case.looks_like().get('looks like', '').startswith(SPEAKERS)
 
 
 @lru_cache(maxsize=1)              # several rules ask it of one case
@@ -68,7 +73,7 @@ def _front_of(cycle: Cycle) -> ev.Front | None:
         return ev.Front(code, 7)
     if code in _WRITES:
         return ev.Front(code, 5 + cycle.length)
-    if code in _GROUPS:
+    if code in GROUPS:
         return ev.Front(code, 7 + many)
     if code == Instruction.SYNC_WRITE:
         return ev.Front(code, 7 + many * (1 + cycle.length))
@@ -80,7 +85,7 @@ def ran_into_answers(case: Case) -> int:
     noise = case.report.noise
     found = 0
     for cycle in case.report.cycles if case.damage else ():
-        packet = _packet(cycle.instruction, cycle.ids, cycle.address, cycle.length)
+        packet = packet_of(cycle.instruction, cycle.ids, cycle.address, cycle.length)
         at = noise.find(packet[-TAIL:]) if packet else -1
         while at >= 0:
             begin = at + TAIL - len(packet)
@@ -91,31 +96,4 @@ def ran_into_answers(case: Case) -> int:
 
 def laid_over_answers(case: Case) -> bool:
     """Tell whether questions were wholly inside something else, as far as the last noise."""
-    return case.damage >= FEW and _overlaid(case.report.noise, tuple([
-        (one.instruction, one.ids, one.address, one.length) for one in case.report.cycles])) >= FEW
-
-
-@lru_cache(maxsize=8)
-def _overlaid(noise: bytes, questions: tuple[_Question, ...]) -> int:
-    """Return how many questions are in the noise with bits lost and none added."""
-    heard, found = int.from_bytes(noise, 'big'), 0
-    for packet in filter(None, (_packet(*question) for question in questions)):
-        sent, size = int.from_bytes(packet, 'big'), 8 * len(packet)
-        ones, whole = sent.bit_count(), (1 << size) - 1
-        for shift in range(0, 8 * len(noise) - size + 1, 8):
-            if not heard >> shift & whole & ~sent:
-                left = (heard >> shift & whole).bit_count()
-                found += LEFT * ones < left < ones - FLIPPED
-    return found
-
-
-def _packet(instruction: int, ids: tuple[int, ...], address: int | None, length: int) -> bytes:
-    """Return the packet of a question that is the same each time, b'' for anything else."""
-    if not ids or address is None:
-        return b''
-    at = address.to_bytes(2, 'little') + length.to_bytes(2, 'little')
-    if instruction == Instruction.READ:
-        return encode(ids[0], instruction, at)
-    if instruction in _GROUPS:
-        return encode(BROADCAST, instruction, at + bytes(ids))
-    return b''
+    return case.damage >= FEW and laid_over(case.report) >= FEW

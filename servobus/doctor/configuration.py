@@ -240,10 +240,10 @@ def _master_stopped(case: Case) -> Claims:
     if case.quiet_s < STOPPED_S or (report.last_byte_s or 0.0) < STOPPED_S \
             or report.stamp - report.deaf < STOPPED_S * S:
         return                                 # a closed port hears no master
-    since = (report.asked - report.started) / S
+    since = (report.asked - case.run_from) / S
     if since < WORKED_S:
         return                                 # a command, and it is done
-    yield Claim(f'the master stopped {since:.1f} s after listening began: check its '
+    yield Claim(f'the master stopped after it had asked for {since:.1f} s: check its '
                 'program; device states date from then',
                 {'stopped after (s)': f'{since:.1f}'},
                 Level.OK if case.quiet_s < RESTED_S else None)

@@ -18,6 +18,7 @@ from servobus.bus.report import DeviceReport
 from servobus.doctor.case import Case
 from servobus.doctor.collision import is_collision
 from servobus.doctor.collision import laid_over_answers
+from servobus.doctor.collision import may_overlap
 from servobus.doctor.collision import ran_into_answers
 from servobus.doctor.rate import likely_rate
 from servobus.doctor.rule import about
@@ -138,11 +139,12 @@ def _noise(case: Case) -> Claims:
     asked = _asked_damaged(case)
     if asked < BOTH_WAYS * case.damage and _most_hit(case) is not None:
         return
-    if is_collision(case):
+    both_ways = asked >= BOTH_WAYS * case.damage
+    if is_collision(case) if both_ways else may_overlap(case):
         yield Doubt('packets overlap: two programs, two devices with one ID, or a master '
                     'that does not wait for answers')
         return
-    way = 'in both directions' if asked >= BOTH_WAYS * case.damage else 'in answers'
+    way = 'in both directions' if both_ways else 'in answers'
     share_of = about(case.damage, packets + case.damage)
     yield Claim(f'{share_of} of the packets damaged, {way}, of '
                 'several devices: check termination, ground, shielding and motor cables',
