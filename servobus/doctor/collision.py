@@ -32,8 +32,11 @@ _WRITES = (Instruction.WRITE, Instruction.REG_WRITE)
 
 def may_overlap(case: Case) -> bool:
     """Tell whether damage in answers may be packets that overlap, so that it is no cable's."""
-    return is_collision(case) or case.has_overlaps \
-        or case.looks_like().get('looks like', '').startswith(SPEAKERS)
+    if is_collision(case) or case.has_overlaps:
+        return True
+    # Where the sides are known, it would have been seen that somebody did not wait.
+    return not case.report.has_sides \
+        and case.looks_like().get('looks like', '').startswith(SPEAKERS)
 
 
 @lru_cache(maxsize=1)              # several rules ask it of one case

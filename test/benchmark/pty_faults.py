@@ -41,7 +41,7 @@ ONSET_S = 5                        # after the start of fake_bus: dxl_doctor lis
 SECONDS = 10
 LINK_S = 20.0                      # until fake_bus has its link
 END_S = 60.0
-RATE = 100.0                       # of fake_bus where nothing is set
+RATE = 100.0                       # cycles a second, as fake_bus has by default
 HEALTHY = 'healthy'
 SLOW = {'read_write': 4.0, 'mixed': 10.0, 'bulk': 20.0, 'registered': 20.0}    # they take long
 
