@@ -356,7 +356,7 @@ def test_loading_reads_no_file_before_it_is_asked_for(copies, tmp_path, monkeypa
 
 def test_loading_is_cheap_however_many_models_there_are(tmp_path):
     """Ratio, not seconds: ten times the built-in models must not cost twice as much."""
-    shutil.copytree(BUILT_IN.parents[1], tmp_path / 'dxl_monitor',
+    shutil.copytree(BUILT_IN.parents[1], tmp_path / 'servobus',
                     ignore=shutil.ignore_patterns('__pycache__'))
     files = tmp_path / BUILT_IN.relative_to(BUILT_IN.parents[2])
     few = cost(tmp_path)
