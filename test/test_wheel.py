@@ -156,13 +156,14 @@ def test_a_person_runs_a_script_and_the_dead_servo_is_named(home, bus, meeting_p
 
 
 def test_the_program_may_have_an_environment_of_its_own(home, bus, meeting_place):
-    """The first commands of the README: the tool by its path, python as in the user's shell."""
+    """The environment of the tool comes first in PATH, and holds nothing but the tool."""
     subprocess.run([sys.executable, '-m', 'venv', home / 'theirs'], check=True)
     subprocess.run([home / 'theirs/bin/pip', '--quiet', '--disable-pip-version-check', 'install',
                     'pyserial'], check=True)
     (home / 'my_script.py').write_text(SCRIPT)
     done = run(home, home / 'venv/bin/dxl_doctor', 'run', '--', 'python', 'my_script.py', bus,
-               PATH=f'{home}/theirs/bin:/usr/bin:/bin', XDG_RUNTIME_DIR=meeting_place)
+               PATH=f'{home}/venv/bin:{home}/theirs/bin:/bin', XDG_RUNTIME_DIR=meeting_place)
+    assert f'{home}/theirs/bin/python is heard' in done.stderr
     assert 'servo 2 answered 0 times\n' in done.stdout
     assert '1 error, 002: no answer' in done.stdout
     assert done.returncode == 4
