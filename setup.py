@@ -46,7 +46,9 @@ setup(
     packages=find_packages(include=[
         'msg_defs', 'servobus*', NAME, 'vel2d_bridge', 'dxl_monitor', 'mecarover_dashboard',
         'mecarover_fakes*']),
-    package_data={'servobus.model': ['files/*.yaml'],
+    package_data={'msg_defs': ['py.typed'],         # as in packaging/dxl-doctor
+                  'servobus': ['py.typed'],
+                  'servobus.model': ['files/*.yaml'],
                   'mecarover_fakes': ['factory.yaml'],
                   'servobus.tools.doctor': ['errors.yaml'],
                   'mecarover_dashboard': ['static/*']},

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What `ros2 run` and `ros2 launch` need to find after a plain pip install into a fresh prefix."""
 import ast
+from email import message_from_bytes
+from importlib.util import find_spec
 import os
 from pathlib import Path
 import shutil
@@ -10,29 +12,142 @@ import sys
 import xml.etree.ElementTree as ElementTree
 
 import pytest
+from test_dxl_doctor import capture
 
 from mecarover_serial.command import COMMANDS
+from servobus.tools.command import COMMANDS as TOOLS
 
 ROOT = Path(__file__).parents[1]
 NAME = 'mecarover_serial'
 
 
 def copy_tree(to, *keep_out):
-    shutil.copytree(ROOT, to, dirs_exist_ok=True, ignore=shutil.ignore_patterns(
+    shutil.copytree(ROOT, to, symlinks=True, dirs_exist_ok=True, ignore=shutil.ignore_patterns(
         '.venv', '.git', '.*_cache', '.hypothesis', 'build', '*.egg-info', '__pycache__',
         *keep_out))
 
 
 @pytest.fixture(scope='module')
-def prefix(tmp_path_factory):
-    """Install a copy of the tree, as `pip install .` does, without asking the network."""
+def tree(tmp_path_factory):
     tree = tmp_path_factory.mktemp('tree') / NAME
     copy_tree(tree)
+    return tree
+
+
+def pip(*arguments, cwd):
+    """Run pip, which asks no network."""
+    command, *more = arguments
+    subprocess.run([sys.executable, '-m', 'pip', command, '--quiet', '--no-deps', '--no-index',
+                    '--no-build-isolation', *more], cwd=cwd, check=True)
+
+
+@pytest.fixture(scope='module')
+def prefix(tree, tmp_path_factory):
+    """Install a copy of the tree, as `pip install .` does."""
     prefix = tmp_path_factory.mktemp('prefix')
-    subprocess.run([sys.executable, '-m', 'pip', 'install', '--quiet', '--no-deps', '--no-index',
-                    '--no-build-isolation', '--ignore-installed', '--prefix', prefix, '.'],
-                   cwd=tree, check=True)
+    pip('install', '--ignore-installed', '--prefix', prefix, '.', cwd=tree)
+    link_libraries(prefix)
     return prefix
+
+
+@pytest.fixture(scope='module')
+def alone(tree, tmp_path_factory):
+    """Install the wheel dxl-doctor, made of its sdist, and no more than it declares."""
+    made, prefix = tmp_path_factory.mktemp('made'), tmp_path_factory.mktemp('alone')
+    subprocess.run([sys.executable, '-c', 'import sys; from setuptools import build_meta; '
+                    'build_meta.build_sdist(sys.argv[1])', made],
+                   cwd=tree / 'packaging/dxl-doctor', check=True, stdout=subprocess.DEVNULL)
+    [sdist] = made.iterdir()
+    pip('wheel', '--wheel-dir', made, sdist, cwd=made)
+    [wheel] = made.glob('*.whl')
+    assert max(sdist.stat().st_size, wheel.stat().st_size) < 1_000_000
+    pip('install', '--ignore-installed', '--prefix', prefix, wheel, cwd=made)
+    link_libraries(prefix)
+    return prefix
+
+
+def link_libraries(prefix):
+    """Let a prefix have what its package declares, from the environment of the tests."""
+    for name in ('serial', 'yaml', 'crcmod'):
+        (packages(prefix) / name).symlink_to(Path(find_spec(name).origin).parent)
+
+
+def packages(prefix):
+    [found] = prefix.glob('lib/python*/site-packages')
+    return found
+
+
+def run_alone(prefix, *arguments):
+    """Run Python with what a prefix holds; -S: nothing of the environment of the tests."""
+    return subprocess.run(
+        [sys.executable, '-S', *map(str, arguments)], cwd=prefix, timeout=60, text=True,
+        env={**os.environ, 'PYTHONPATH': str(packages(prefix))}, capture_output=True)
+
+
+def about(prefix):
+    """Return version and requirements of what a prefix holds."""
+    [metadata] = packages(prefix).glob('*.dist-info/METADATA')
+    text = message_from_bytes(metadata.read_bytes())
+    return text['Version'], {one.replace(' ', '') for one in text.get_all('Requires-Dist')
+                             if 'extra ==' not in one or 'mcap' in one.partition(';')[2]}
+
+
+def files(folder):
+    return {path.relative_to(folder) for path in folder.rglob('*')
+            if path.is_file() and '__pycache__' not in path.parts}
+
+
+@pytest.mark.more
+def test_the_library_alone_is_as_in_the_whole_and_no_more(prefix, alone):
+    assert about(alone) == about(prefix)
+    for package in ('msg_defs', 'servobus'):
+        assert files(packages(alone) / package) == files(packages(prefix) / package) \
+            == files(ROOT / package)
+    assert {path.name for path in packages(alone).iterdir() if not path.is_symlink()} \
+        == {'msg_defs', 'servobus', f'dxl_doctor-{about(alone)[0]}.dist-info'}
+    assert {path.name for path in (alone / 'bin').iterdir()} \
+        == {*TOOLS, *(name.replace('_', '-') for name in TOOLS)}
+
+
+@pytest.mark.more
+def test_each_module_of_the_library_alone_needs_no_other_package_of_ours(alone):
+    done = run_alone(alone, '-c', """
+import importlib, pkgutil, sys
+import msg_defs, servobus
+for package in (msg_defs, servobus):
+    for found in pkgutil.walk_packages(package.__path__, package.__name__ + '.'):
+        if found.name != 'msg_defs.ros' and '.sitecustomize' not in found.name:
+            importlib.import_module(found.name)
+print(servobus.__file__, *{name.partition('.')[0] for name in sys.modules})""")
+    assert done.stderr == ''
+    place, *loaded = done.stdout.split()
+    assert place == str(packages(alone) / 'servobus/__init__.py')
+    assert not {'rclpy', 'dxl_monitor', 'vel2d_bridge'} & {*loaded}
+    assert not [name for name in loaded if name.startswith('mecarover')]
+
+
+@pytest.mark.more
+@pytest.mark.parametrize('tool', TOOLS)
+def test_the_version_of_a_tool_is_that_of_the_package_that_holds_it(prefix, alone, tool):
+    for place, package in ((alone, 'dxl-doctor'), (prefix, NAME)):
+        done = run_alone(place, '-m', TOOLS[tool], '--version')
+        assert (done.stdout, done.stderr) == (f'{tool} ({package}) {about(place)[0]}\n', '')
+
+
+@pytest.mark.more
+def test_the_library_alone_names_a_lost_servo(alone, tmp_path):
+    file = capture(tmp_path / 'bus.txt', 'silent:4:2')
+    done = run_alone(alone, alone / 'bin/dxl_doctor', file)
+    assert '1 error, 004' in done.stdout, done.stderr
+    assert done.returncode == 4
+    done = run_alone(alone, '-c', f"""
+import servobus
+with servobus.listen({str(file)!r}) as bus:
+    bus.run()
+print(*(f'{{one.device}} {{one.rule}}' for one in bus.findings), sep='\\n')""")
+    assert '4 no_answer' in done.stdout.splitlines(), done.stderr
+    listed = run_alone(alone, alone / 'bin/dxl-dump', file, '--count', '3')
+    assert len(listed.stdout.splitlines()) == 3, listed.stderr
 
 
 @pytest.mark.more
@@ -53,9 +168,8 @@ def test_ros2_run_finds_and_starts(prefix, tool):
     executable = prefix / 'lib' / NAME / tool
     assert os.access(executable, os.X_OK)
     assert os.access(prefix / 'bin' / tool, os.X_OK)
-    [packages] = prefix.glob('lib/python*/site-packages')
     done = subprocess.run([sys.executable, executable, '--help'], cwd=prefix, timeout=60,
-                          env={**os.environ, 'PYTHONPATH': str(packages), 'COLUMNS': '80'},
+                          env={**os.environ, 'PYTHONPATH': str(packages(prefix)), 'COLUMNS': '80'},
                           capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert 'usage' in done.stdout.lower()
@@ -64,7 +178,7 @@ def test_ros2_run_finds_and_starts(prefix, tool):
 
 @pytest.mark.more
 def test_models_are_installed(prefix):
-    [models] = prefix.glob('lib/python*/site-packages/servobus/model/files')
+    models = packages(prefix) / 'servobus/model/files'
     assert {path.name for path in models.glob('*.yaml')} \
         == {path.name for path in (ROOT / 'servobus/model/files').glob('*.yaml')} != set()
 

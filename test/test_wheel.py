@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The wheel in a clean Python without ROS: what it needs, what a person sees who runs the doctor.
+Each wheel in a clean Python without ROS: what it needs, what a person sees who runs the doctor.
 
 It installs what the wheel declares, as a person does, so it needs a package index.
 """
@@ -23,7 +23,8 @@ from test_packaging import ROOT
 from servobus.tools.doctor.issue_report import CAPTURE
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime(bears=0.1)]
-DECLARED = {NAME, 'dxl-doctor', 'crcmod-plus', 'pyserial', 'PyYAML', 'setuptools', 'pip'}
+WHEELS = {'dxl-doctor': './packaging/dxl-doctor', NAME: '.'}
+DECLARED = {'crcmod-plus', 'pyserial', 'PyYAML', 'setuptools', 'pip'}
 SERVOS = ('1:XL430-W250', '2:XL430-W250', '3:XL430-W250')
 # A first program of somebody's own: it asks three servos for their position, and prints it.
 SCRIPT = """\
@@ -61,15 +62,20 @@ print('imported:', *(name for name in ('rclpy', 'aiohttp', 'sqlite3') if name in
 """
 
 
+@pytest.fixture(scope='module', params=WHEELS)
+def package(request):
+    return request.param
+
+
 @pytest.fixture(scope='module')
-def home(tmp_path_factory):
-    """Return the folder of a person whose Python has the wheel and what it declares, no more."""
+def home(package, tmp_path_factory):
+    """Return the folder of a person whose Python has a wheel and what it declares, no more."""
     tree = tmp_path_factory.mktemp('tree') / NAME
     copy_tree(tree)
     home = tmp_path_factory.mktemp('home')
     pip = [sys.executable, '-m', 'pip', '--quiet', '--disable-pip-version-check']
-    subprocess.run([*pip, 'wheel', '--no-deps', '--no-build-isolation', '-w', home, '.',
-                    './packaging/dxl-doctor'], cwd=tree, check=True)
+    subprocess.run([*pip, 'wheel', '--no-deps', '--no-build-isolation', '-w', home,
+                    WHEELS[package]], cwd=tree, check=True)
     subprocess.run([sys.executable, '-m', 'venv', home / 'venv'], check=True)
     subprocess.run([home / 'venv/bin/pip', '--quiet', '--disable-pip-version-check', 'install',
                     *home.glob('*.whl')], check=True)
@@ -91,16 +97,15 @@ def run(home, *command, **more):
                           capture_output=True, text=True, timeout=60, stdin=subprocess.DEVNULL)
 
 
-def test_it_brings_no_more_than_it_declares(home):
+def test_it_brings_no_more_than_it_declares(home, package):
     done = run(home, 'python', '-m', 'pip', 'list', '--format', 'json')
     assert {one['name'].replace('-', '_').lower() for one in json.loads(done.stdout)} \
-        <= {name.replace('-', '_').lower() for name in DECLARED}
+        <= {name.replace('-', '_').lower() for name in {package, *DECLARED}}
 
 
-def test_the_name_to_type_has_the_version_of_the_package(home):
-    done = run(home, 'dxl-doctor', '--version')
-    assert done.stdout == f'dxl_doctor ({NAME}) {metadata.version(NAME)}\n'
-    assert (home / f'dxl_doctor-{metadata.version(NAME)}-py3-none-any.whl').exists()
+def test_a_tool_says_which_package_it_is_of(home, package):
+    done = run(home, 'dxl_doctor', '--version')
+    assert done.stdout == f'dxl_doctor ({package}) {metadata.version(NAME)}\n'
 
 
 @pytest.mark.parametrize('module', ['servobus.tools.dxl_doctor', 'servobus.tools.dxl_dump',
@@ -117,8 +122,8 @@ def bus(home):
     """Return the port of a simulated bus on which servo 2 is dead."""
     port = home / 'bus'
     process = subprocess.Popen(
-        ['fake_bus', '--link', port, '--pattern', 'none', '--baud', '1000000', '--fault',
-         'silent:2:0', '--devices', *SERVOS], cwd=home, env=environment(home),
+        [sys.executable, '-m', 'mecarover_fakes.fake_bus', '--link', port, '--pattern', 'none',
+         '--baud', '1000000', '--fault', 'silent:2:0', '--devices', *SERVOS], cwd=ROOT,
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 20
     while not port.exists():
@@ -151,13 +156,14 @@ def test_a_person_runs_a_script_and_the_dead_servo_is_named(home, bus, meeting_p
 
 
 def test_the_program_may_have_an_environment_of_its_own(home, bus, meeting_place):
-    """The first commands of the README: the tool by its path, python as in the user's shell."""
+    """The environment of the tool comes first in PATH, and holds nothing but the tool."""
     subprocess.run([sys.executable, '-m', 'venv', home / 'theirs'], check=True)
     subprocess.run([home / 'theirs/bin/pip', '--quiet', '--disable-pip-version-check', 'install',
                     'pyserial'], check=True)
     (home / 'my_script.py').write_text(SCRIPT)
     done = run(home, home / 'venv/bin/dxl_doctor', 'run', '--', 'python', 'my_script.py', bus,
-               PATH=f'{home}/theirs/bin:/usr/bin:/bin', XDG_RUNTIME_DIR=meeting_place)
+               PATH=f'{home}/venv/bin:{home}/theirs/bin:/bin', XDG_RUNTIME_DIR=meeting_place)
+    assert f'{home}/theirs/bin/python is heard' in done.stderr
     assert 'servo 2 answered 0 times\n' in done.stdout
     assert '1 error, 002: no answer' in done.stdout
     assert done.returncode == 4

@@ -198,6 +198,7 @@ def _parser() -> Parser:
                     'had on the bus.',
         epilog="""examples:
   dxl_replay bus.txt --link /tmp/bus
+  dxl_dump /tmp/bus                                in another terminal, or
   ros2 run mecarover_serial dxl_monitor --ros-args -p ports:=/tmp/bus
 
   dxl_replay bus.txt --link /tmp/bus --loop        again and again, until Ctrl-C

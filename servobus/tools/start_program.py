@@ -46,9 +46,8 @@ LOOKS = 20                         # at what it asks for, meanwhile: it waits
 REST_S = 1.0                       # for what the relay heard last
 _PYTHON = re.compile(r'(python|pypy)[\d.]*w?(\.exe)?')
 _SCRIPT = re.compile(rb"#!.*(python|pypy)|#!/bin/sh\n'''exec'")
-_PACKAGE = 'mecarover_serial'
 _DEVELOPER = re.compile(r'extra == .(test|docs|fuzz|mutation|release)\b')
-_TOOLS = {_PACKAGE, 'dxl_doctor', 'pip', 'setuptools', 'wheel'}     # dxl-doctor: packaging/
+_OUR_OWN = ('mecarover_serial', 'dxl_doctor')
 
 
 class StartedProgram:
@@ -204,10 +203,10 @@ def own_environment() -> dict[str, str]:
 
 
 def _is_tools_own() -> bool:
-    """Tell whether all packages of this venv are here because of this one."""
+    """Tell whether all packages of this venv are here because of ours."""
     here = {_plain(one.metadata['Name'] or ''): one for one in metadata.distributions(
         path=[path for path in sys.path if path.startswith(sys.prefix)])}
-    needed, left = set(_TOOLS), [_PACKAGE]
+    needed, left = {*_OUR_OWN, 'pip', 'setuptools', 'wheel'}, [*_OUR_OWN]
     while left:
         one = here.get(left.pop())
         for text in (one.requires or ()) if one else ():

@@ -25,8 +25,8 @@ from serial.tools import list_ports
 
 from servobus.port.port_users import tty_of
 
-_PACKAGES = ('mecarover_serial', 'pyserial', 'crcmod-plus', 'dynamixel-sdk', 'feetech-servo-sdk',
-             'lerobot', 'pypot')
+_PACKAGES = ('mecarover_serial', 'dxl-doctor', 'pyserial', 'crcmod-plus', 'dynamixel-sdk',
+             'feetech-servo-sdk', 'lerobot', 'pypot')
 _SYS = Path('/sys')
 
 
