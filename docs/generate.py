@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from pathlib import Path
 import sys
 
-from docs.wireshark_tables import wireshark_tables
 from dxl_monitor.monitor_settings import PARAMETERS as MONITOR
 from mecarover_serial.parameters import Parameter
 from msg_defs.dxl_packet import encode
@@ -306,8 +305,7 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
                    for line in lines)
 
 
-PAGES = {'docs/parameters.md': parameters, 'docs/diagnostics.md': diagnostics,
-         'wireshark/servobus_tables.lua': wireshark_tables}
+PAGES = {'docs/parameters.md': parameters, 'docs/diagnostics.md': diagnostics}
 
 
 def main(check: bool) -> int:

@@ -6,9 +6,10 @@ Records the history: what of the reports is kept for a day, and the thread that 
 Of each value a window of 10 s keeps the lowest and the highest. An event is a change of level or
 state, a finding that came or went, an error of a bus. What has one cause is one event: that of
 the bus where all of its devices share it, that of a lost device in place of its findings and
-missed answers. A disk may stop for seconds, so the server never waits for it. Every FLUSH_S all
-that is known goes to the file, windows that still run included: this is what kill -9 or a power
-failure can cost.
+missed answers. A disk may stop for seconds, so the server never waits for it. An SD card wears
+out: a window is written once, in one transaction with the others when they have ended; an event
+without waiting for that, at most every EVENT_FLUSH_S. So kill -9 or a power failure costs the
+window that runs.
 """
 from __future__ import annotations
 
@@ -18,6 +19,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from dataclasses import field
 import fcntl
+import math
 import os
 from pathlib import Path
 import queue
@@ -43,9 +45,9 @@ from mecarover_dashboard.state import State
 from msg_defs.reports import Level
 from msg_defs.reports import SEVERITY
 
-FLUSH_S = 5.0
+EVENT_FLUSH_S = 5.0
 LIMIT_S = 300.0                 # between two looks at the size
-_MOST_WAITING = 24              # batches, two minutes: a disk that hangs longer costs the rest
+_MOST_WAITING = 24              # batches, at least two minutes: what comes later is lost
 NAME = 'history.sqlite'
 MOST_ERRORS = 20                # for one bus in one window; noise would fill the file
 
@@ -83,6 +85,8 @@ class HistorySampler:
         self._done: list[Window] = []
         self._events: list[Event] = []
         self._until = dict(errors_until or {})      # for each bus Unix s of its last error
+        self._flushed_s = 0.0       # monotonic s
+        self._flushed_at = 0        # the window that ran then
 
     def look(self, state: State, now_s: float, unix_s: float) -> None:
         """Take in what was reported since the last look."""
@@ -128,24 +132,33 @@ class HistorySampler:
             last = self._seen[name] = _LastSeen()
         return last
 
-    def taken(self) -> tuple[list[Window], list[Event]]:
-        """Return what to write: ended windows, those that still run, and events."""
+    def is_due(self, now_s: float, unix_s: float) -> bool:
+        """Tell whether to write now: windows have ended, or there are events."""
+        at = _window_at(unix_s)
+        if at == self._flushed_at and not (
+                self._events and now_s - self._flushed_s >= EVENT_FLUSH_S):
+            return False
+        self._flushed_s, self._flushed_at = now_s, at
+        return True
+
+    def taken(self, unix_s: float = math.inf) -> tuple[list[Window], list[Event]]:
+        """Return what to write: windows that ended until then, and events."""
         windows, events = self._done, self._events
         self._done, self._events = [], []
         for last in self._seen.values():
-            if last.is_new and last.window is not None:
+            if last.is_new and last.window is not None and last.window.at + WINDOW_S <= unix_s:
                 windows.append(last.window)
                 last.is_new = False
         return windows, events
 
     def _add(self, last: _LastSeen, source: Subject, report: RowReport, state: State,
              unix_s: float) -> None:
-        at = int(unix_s) // WINDOW_S * WINDOW_S
+        at = _window_at(unix_s)
         values = tuple(_values(source.kind, report, state))
         level = report.row['level']
-        old, last.is_new = last.window, True
+        old, is_written, last.is_new = last.window, not last.is_new, True
         if old is None or old.at != at:
-            if old is not None:
+            if old is not None and not is_written:
                 self._done.append(old)
             last.window, last.errors = Window(at, source, level, values, values), 0
             return
@@ -225,6 +238,11 @@ class HistorySampler:
                                           'listed'))
 
 
+def _window_at(unix_s: float) -> int:
+    """Return when the window of a time begins."""
+    return int(unix_s) // WINDOW_S * WINDOW_S
+
+
 def _texts(row: Row | None) -> set[str]:
     """Return what the findings of a row say."""
     return set() if row is None else {text for _, text, _ in row['findings']}
@@ -283,7 +301,6 @@ class HistoryRecorder:
                                  'FILE, or --history none') from error
         self._sampler = HistorySampler(self._writer.errors_until())
         self._batches: queue.Queue[_Batch | None] = queue.Queue(_MOST_WAITING)
-        self._flushed_s = time.monotonic()
         self._thread = threading.Thread(target=self._run, name='history', daemon=True)
         self._thread.start()
 
@@ -312,13 +329,12 @@ class HistoryRecorder:
     def look(self, state: State, now_s: float, unix_s: float) -> None:
         """Take in what was reported; never waits."""
         self._sampler.look(state, now_s, unix_s)
-        if now_s - self._flushed_s >= FLUSH_S:
-            self._flushed_s = now_s
-            self._hand_over()
+        if self._sampler.is_due(now_s, unix_s):
+            self._hand_over(unix_s)
 
-    def _hand_over(self) -> None:
+    def _hand_over(self, unix_s: float = math.inf) -> None:
         try:
-            self._batches.put_nowait(self._sampler.taken())
+            self._batches.put_nowait(self._sampler.taken(unix_s))
         except queue.Full:
             self.problem = f'{self.path}: the disk is too slow, so part of the history is lost'
 
@@ -330,14 +346,18 @@ class HistoryRecorder:
         os.close(self._lock)
 
     def _run(self) -> None:
-        limited_s = 0.0
+        limited_s = time.monotonic()
         while (batch := self._batches.get()) is not None:
             self._write(batch)
             if time.monotonic() - limited_s > LIMIT_S:
                 limited_s = time.monotonic()
-                with suppress(sqlite3.Error):
-                    self._writer.limit(time.time())
+                self._limit()
+        self._limit()
         self._writer.close()
+
+    def _limit(self) -> None:
+        with suppress(sqlite3.Error):
+            self._writer.limit(time.time())
 
     def _write(self, batch: _Batch) -> None:
         try:

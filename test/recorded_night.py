@@ -13,7 +13,6 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from synthetic_robot import serialise
 
 from mecarover_dashboard.history import HistoryWriter
-from mecarover_dashboard.history_recorder import FLUSH_S
 from mecarover_dashboard.history_recorder import HistorySampler
 from mecarover_dashboard.state import State
 from mecarover_dashboard.state import TABLES
@@ -54,16 +53,17 @@ def second_of(second, lost_at):
     return serialise([bus, *servos])
 
 
-def record(writer, begin, seconds, lost_at, flush_s=FLUSH_S, tell=lambda second: None):
+def record(writer, begin, seconds, lost_at, tell=lambda second: None):
     """Record so many seconds from a Unix time on, one message in each."""
     state, recorder = State(), HistorySampler(writer.errors_until())
     for second in range(seconds):
         state.take(TABLES, second_of(second, lost_at), float(second))
         state.expire(float(second))
         recorder.look(state, float(second), begin + second)
-        if second % flush_s == 0 or second == seconds - 1:
-            writer.write(*recorder.taken())
+        if recorder.is_due(float(second), begin + second):
+            writer.write(*recorder.taken(begin + second))
         tell(second)
+    writer.write(*recorder.taken())
 
 
 if __name__ == '__main__':

@@ -554,6 +554,27 @@ def test_check_models(tmp_path):
     assert 'my.yaml' in dump('--check-models', tmp_path, code=1)
 
 
+def test_the_tables_for_wireshark(tmp_path):
+    folder = tmp_path / 'new' / 'plugins'
+    for _ in range(2):                          # the second time over the first
+        said = dump('--wireshark', folder)
+        assert said.count('\n') == 1
+        assert said.startswith(f'{folder}/servobus_tables.lua: {len(MODELS.names())} models')
+        assert 'put it and wireshark/servobus.lua of the repository into ~/.local/lib/' in said
+    text = (folder / 'servobus_tables.lua').read_text()
+    assert '"Goal Position"' in text
+    assert text.count('"XL430-W250"') == 1
+
+
+def test_a_folder_without_rights_for_the_tables(tmp_path):
+    tmp_path.chmod(0o500)
+    obedient = 'setpriv --bounding-set=-dac_override ' * (os.geteuid() == 0)
+    code, out, err = shell(f'{obedient}dxl_dump --wireshark {tmp_path}')
+    assert (code, out) == (1, '')
+    assert err == (f'dxl_dump: {tmp_path}/servobus_tables.lua: Permission denied; give a folder '
+                   'that you may write to\n')
+
+
 def test_a_capture_with_bad_lines_is_read_and_said(recorded):
     good = dump(recorded, '--summary')
     recorded.write_bytes(recorded.read_bytes() + b'(12.5 b')

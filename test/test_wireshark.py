@@ -28,6 +28,7 @@ from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
 from mecarover_fakes.usb_adapter import FakeAdapter
 from mecarover_fakes.usb_adapter import FAMILIES
+from msg_defs.dxl_packet import encode
 from rigs.usb_pcap import LINUX
 from rigs.usb_pcap import MMAPPED
 from rigs.usb_pcap import pcap
@@ -42,11 +43,19 @@ needs_tshark = pytest.mark.skipif(not shutil.which('tshark'),
                                   reason='skipped: tshark is not installed (apt has it)')
 
 
-def dissected(path, *options):
+@pytest.fixture(scope='module')
+def dissector(tmp_path_factory):
+    """Return the dissector in a folder with tables that dxl_dump wrote."""
+    folder = tmp_path_factory.mktemp('plugins')
+    dump('--wireshark', folder)
+    return shutil.copy(WIRESHARK / 'servobus.lua', folder)
+
+
+def dissected(dissector, path, *options):
     """Return what the dissector says of each packet: the fields, each with all its values."""
     names = [name if '.' in name else f'servobus.{name}' for name in FIELDS]
     out = subprocess.run(
-        ['tshark', '-2', '-X', f'lua_script:{WIRESHARK / "servobus.lua"}', *options, '-r', path,
+        ['tshark', '-2', '-X', f'lua_script:{dissector}', *options, '-r', path,
          '-T', 'fields', '-E', 'aggregator=|', *(word for name in names for word in ('-e', name))],
         capture_output=True, text=True, check=True)
     assert 'Lua' not in out.stderr
@@ -92,11 +101,11 @@ def agrees(ours, theirs, bare, is_family_1):
     return len(names)
 
 
-def compare(text, tmp_path, devices, *options, is_family_1=False):
+def compare(dissector, text, tmp_path, devices, *options, is_family_1=False):
     """Return how many packets and registers agree; all must."""
     path = tmp_path / 'bus.pcapng'
     dump(text, '-w', path, *devices)
-    theirs = [one for one in dissected(path, *options) if one['id']]
+    theirs = [one for one in dissected(dissector, path, *options) if one['id']]
     ours = objects(text, *devices)
     assert len(ours) == len(theirs)
     models = map(MODELS.by_name, re.findall(r':([\w-]+)', ','.join(devices)))
@@ -107,38 +116,38 @@ def compare(text, tmp_path, devices, *options, is_family_1=False):
 
 @needs_tshark
 @pytest.mark.parametrize('pattern', PATTERNS)
-def test_2_0(pattern, tmp_path):
+def test_2_0(pattern, tmp_path, dissector):
     text = capture(tmp_path / 'bus.txt', bursts('silent:2:0.2', pattern=pattern, seconds=0.4))
-    packets, registers = compare(text, tmp_path, ['--devices', DEVICES], '-o',
+    packets, registers = compare(dissector, text, tmp_path, ['--devices', DEVICES], '-o',
                                  f'servobus.devices:{DEVICES}')
     assert packets and (registers or pattern in ('idle', 'none'))
 
 
 @needs_tshark
 @pytest.mark.parametrize(('dialect', 'family'), [('dxl1', 1), ('feetech', 2)])
-def test_the_1_0_family(dialect, family, tmp_path):
+def test_the_1_0_family(dialect, family, tmp_path, dissector):
     text, devices = tmp_path / 'bus.txt', f'1-6:{USUAL_MODEL[dialect]}'
     line = make_line(make_devices([devices], MODELS, BAUD, dialect=dialect), BAUD, dialect)
     master = Master(line, PATTERNS['moving'], rate=50)
     capture(text, [(one.data, SECOND + one.end) for one in master.bursts(SECOND)])
     packets, registers = compare(
-        text, tmp_path, ['--devices', devices, '--protocol', PROTOCOLS[dialect]],
+        dissector, text, tmp_path, ['--devices', devices, '--protocol', PROTOCOLS[dialect]],
         '-o', f'servobus.devices:{devices}', '-o', f'servobus.family:{family}', is_family_1=True)
     assert packets > 100 and registers
 
 
 @needs_tshark
 @pytest.mark.skipif(not TRACE.exists(), reason='skipped: needs bus_trace_head.bin')
-def test_the_recorded_bus_of_a_humanoid(tmp_path):
-    packets, _ = compare(TRACE, tmp_path, [])
+def test_the_recorded_bus_of_a_humanoid(tmp_path, dissector):
+    packets, _ = compare(dissector, TRACE, tmp_path, [])
     assert packets > 5000
 
 
 @needs_tshark
-def test_an_answer_that_did_not_come_is_named_at_its_instruction(tmp_path):
+def test_an_answer_that_did_not_come_is_named_at_its_instruction(tmp_path, dissector):
     text, path = with_sides(tmp_path / 'arm.txt'), tmp_path / 'arm.pcapng'
     dump(text, '-w', path)
-    found = dissected(path)
+    found = dissected(dissector, path)
     by_number = {one['frame.number'][0]: one for one in found}
     answers = [one for one in found if one['request_in']]
     assert answers
@@ -160,12 +169,12 @@ def recorded_with(family):
 @pytest.mark.parametrize(('name', 'link'), [
     *product(('healthy', 'acm', 'missing'), (LINUX, MMAPPED, USBPCAP)),
     *((family, USBPCAP) for family in FAMILIES)])
-def test_a_serial_adapter_on_usb(name, link, tmp_path):
+def test_a_serial_adapter_on_usb(name, link, tmp_path, dissector):
     """Of usbmon and USBPcap, straight from the file; a transfer may hold several packets."""
     path = tmp_path / 'usb.pcap'
     path.write_bytes(pcap(link, recorded_with(name) if name in FAMILIES
                           else (REAL / f'{name}.bin').read_bytes()))
-    theirs, ours = dissected(path), objects(path)
+    theirs, ours = dissected(dissector, path), objects(path)
     assert len(ours) > 20
     for field, wanted in (('id', 'id'), ('instruction', 'code'), ('address', 'address')):
         said = [part[wanted] for one in ours for part in (
@@ -180,12 +189,49 @@ def test_a_serial_adapter_on_usb(name, link, tmp_path):
 
 
 @needs_tshark
-def test_the_colours_are_taken(tmp_path):
+def test_the_colours_are_taken(tmp_path, dissector):
     shutil.copy(WIRESHARK / 'colorfilters', tmp_path)
     done = subprocess.run(
-        ['tshark', '--color', '-2', '-X', f'lua_script:{WIRESHARK / "servobus.lua"}', '-r',
+        ['tshark', '--color', '-2', '-X', f'lua_script:{dissector}', '-r',
          REAL / 'missing.pcap', '-T', 'fields', '-e',
          'frame.coloring_rule.name'], capture_output=True, text=True, check=True,
         env={**os.environ, 'WIRESHARK_CONFIG_DIR': str(tmp_path)})
     assert {*done.stdout.splitlines()} == {
         '', 'servo bus: instruction', 'servo bus: answer', 'servo bus: no answer'}
+
+
+MINE = """model_numbers: {1060: Half "7\\"}
+fields:
+  - {at: 132, name: Half Position, type: u16, unit: rad, scale: 0.5}
+"""
+
+
+@needs_tshark
+def test_models_of_ones_own(tmp_path):
+    """They win over ours, and their names may hold any letter."""
+    models, plugins, path = tmp_path / 'models', tmp_path / 'new/plugins', tmp_path / 'bus.pcapng'
+    models.mkdir()
+    (models / 'mine.yaml').write_text(MINE)
+    dump('--wireshark', plugins, '--model-dirs', models)
+    text = capture(tmp_path / 'bus.txt', [
+        (encode(1, 0x01), SECOND), (encode(1, 0x55, b'\x24\x04\x2d', error=0), 2 * SECOND),
+        (encode(1, 0x02, b'\x84\0\2\0'), 3 * SECOND),
+        (encode(1, 0x55, b'\3\0', error=0), 4 * SECOND)])
+    dump(text, '-w', path)
+    found = dissected(shutil.copy(WIRESHARK / 'servobus.lua', plugins), path)
+    assert [one['register'] for one in found] == [
+        [], [], ['Half Position'], ['Half Position: 1.5 rad']]
+
+
+@needs_tshark
+@pytest.mark.parametrize('content', [None, '', 'return {'])
+def test_without_its_tables_the_dissector_says_so_in_one_line(tmp_path, content):
+    dissector = shutil.copy(WIRESHARK / 'servobus.lua', tmp_path)
+    if content is not None:
+        (tmp_path / 'servobus_tables.lua').write_text(content)
+    err = subprocess.run(['tshark', '-X', f'lua_script:{dissector}', '-r', REAL / 'missing.pcap'],
+                         capture_output=True, text=True, check=True).stderr
+    assert 'traceback' not in err
+    [line] = [one for one in err.splitlines() if 'servobus' in one]
+    assert f'{tmp_path}/servobus_tables.lua: missing or damaged (' in line
+    assert line.endswith(f'; write it: dxl_dump --wireshark "{tmp_path}/"')

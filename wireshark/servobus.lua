@@ -3,13 +3,19 @@
 --
 -- Wireshark dissector of servo buses: Dynamixel Protocol 2.0 and 1.0, Feetech. For files that
 -- dxl_dump -w FILE.pcapng writes, and what usbmon or USBPcap recorded of a serial adapter.
--- Wireshark 4.0 (Lua 5.2) or newer. Install: docs/dump.md.
+-- Wireshark 4.0 (Lua 5.2) or newer. It needs servobus_tables.lua in the same folder, which
+-- `dxl_dump --wireshark DIR` writes: docs/dump.md.
 --
 -- Wireshark calls it once for each packet in order, then again in any order: what it learns
 -- (models, which answer belongs to which instruction) it learns the first time.
 
 local folder = debug.getinfo(1, 'S').source:sub(2):match('^(.*[/\\])') or ''
-local tables = dofile(folder .. 'servobus_tables.lua')
+local is_read, tables = pcall(dofile, folder .. 'servobus_tables.lua')
+if not is_read or type(tables) ~= 'table' then
+    report_failure(('%sservobus_tables.lua: missing or damaged (%s); write it: dxl_dump --wireshark "%s"')
+        :format(folder, tostring(tables), folder == '' and '.' or folder))
+    return
+end
 local servobus = Proto('servobus', 'Servo bus (Dynamixel, Feetech)')
 
 local PING, READ, WRITE, REG_WRITE, STATUS = 0x01, 0x02, 0x03, 0x04, 0x55

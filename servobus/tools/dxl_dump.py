@@ -14,6 +14,7 @@ from msg_defs.dxl_instruction import NAMES
 from servobus.errors import UsageError
 from servobus.model.models import check_models
 from servobus.model.models import model_files
+from servobus.model.models import Models
 from servobus.plain import printable
 from servobus.tools.cli import COULD_NOT_RUN
 from servobus.tools.cli import DONE
@@ -27,7 +28,9 @@ from servobus.tools.dump.session import FORMATS
 from servobus.tools.dump.session import MCAP
 from servobus.tools.dump.session import PCAPNG
 from servobus.tools.dump.session import Session
+from servobus.tools.dump.wireshark_tables import write_tables
 from servobus.tools.run import add_bus_options
+from servobus.tools.run import models_of
 from servobus.tools.run import refuse_run
 
 HIGHEST_ID = 255                   # damage may make any byte of an ID
@@ -40,7 +43,8 @@ EXAMPLES = """examples:
   dxl_dump bus.txt --id 7,11 --instruction write,status
   dxl_dump bus.txt --json | jq .registers       for programs
   ssh robot dxl_dump /dev/ttyUSB0 -w - | dxl_dump -
-  dxl_dump --check-models my_models             is a folder of model files all right?"""
+  dxl_dump --check-models my_models             is a folder of model files all right?
+  dxl_dump --wireshark my_folder                the dissector's tables of all models"""
 
 
 def main() -> int:
@@ -54,6 +58,8 @@ def _run(arguments: list[str]) -> int:
     options = parser.parse_args(arguments)
     if options.check_models is not None:
         return _check_models(options.check_models)
+    if options.wireshark is not None:
+        return _write_tables(Path(options.wireshark), models_of(options))
     if options.source is None:
         raise UsageError('SOURCE: none given; name a port, a capture or a file, or - for stdin')
     options.ids = _listed(options.id, _ids)
@@ -74,6 +80,15 @@ def _check_models(folder: str) -> int:
     if problems:
         return COULD_NOT_RUN
     print(f'{printable(folder)}: {len(model_files(Path(folder)))} model files, no problem')
+    return DONE
+
+
+def _write_tables(folder: Path, models: Models) -> int:
+    """Write the tables of the Wireshark dissector; say how to install both files."""
+    path = write_tables(folder, models)
+    print(f'{printable(str(path))}: {len(models.names())} models written; put it and '
+          'wireshark/servobus.lua of the repository into ~/.local/lib/wireshark/plugins '
+          '(Wireshark: Help, About, Folders, Personal Lua Plugins)')
     return DONE
 
 
@@ -154,6 +169,8 @@ def _parser() -> Parser:
     add('--color', choices=('auto', 'always', 'never'), default='auto',
         help='default: on a terminal, unless NO_COLOR is set')
     add('--check-models', metavar='DIR', help='check a folder of model files and exit')
+    add('--wireshark', metavar='DIR', help='write the tables of the Wireshark dissector to a '
+        'folder and exit; with --model-dirs also of your models')
     return parser
 
 
