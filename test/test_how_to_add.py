@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """CONTRIBUTING.md, "How to add": one of each kind is added by its steps in a copy of the code."""
 
+import os
 from pathlib import Path
 import re
 import subprocess
@@ -51,7 +52,8 @@ class Copy:
     def run(self, *arguments):
         """Run Python in the copy; return what it prints."""
         done = subprocess.run([sys.executable, *arguments], cwd=self.folder, text=True,
-                              capture_output=True, check=False, timeout=60)
+                              capture_output=True, check=False, timeout=60,
+                              env={**os.environ, 'PYTHONPATH': str(self.folder / 'test')})
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout.strip()
 
