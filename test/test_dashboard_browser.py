@@ -527,7 +527,7 @@ def test_log_and_timing(page):
 def test_history_of_a_lost_device_shows_what_was_before(open_page, tmp_path):
     path, begin = tmp_path / 'history.sqlite', int(time.time()) - 4000
     writer = HistoryWriter(path)
-    record(writer, begin, 3000, 2400, flush_s=300)
+    record(writer, begin, 3000, 2400)
     writer.close()
     with Dashboard(history=path) as dashboard:
         dashboard.take([('dxl/diagnostics', second_of(3000, 2400))])

@@ -41,7 +41,7 @@ def test_each_status_is_of_one_robot(robots, graph):
     """Name and hardware_id never serve two devices: no level, message or port flaps."""
     for name, level in (('rover1', 0), ('rover2', 2)):
         graph.wait_status(f'{name}/dxl_monitor: 002', level=level)
-        graph.wait_status(f'{name}/vel2d_bridge: commands', 'no node publishes it', level=1)
+        graph.wait_status(f'{name}/vel2d_bridge: commands', 'no stop has been sent', level=1)
     begin = len(graph.heard['/diagnostics'])
     end_s = time.monotonic() + WATCH_S
     wait(lambda: time.monotonic() > end_s)
@@ -63,7 +63,7 @@ def test_each_status_is_of_one_robot(robots, graph):
 def test_two_robots_in_namespaces_are_no_mistake(robots, graph):
     for robot in ('rover1', 'rover2'):
         graph.wait_status(f'{robot}/dxl_monitor: bus')
-        status = graph.wait_status(f'{robot}/vel2d_bridge: commands', 'no node publishes it')
+        status = graph.wait_status(f'{robot}/vel2d_bridge: commands', 'no stop has been sent')
         assert 'subscribes it too' not in str(status)
         for status in list(graph.statuses.values()):
             assert 'nodes have this name' not in str(status)

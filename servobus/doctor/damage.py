@@ -380,7 +380,7 @@ RULES = (
     Rule('overrun', _overrun,
          (*_OF_THE_WIRE, 'jitter')),
     Rule('baud_moved', _baud_moved,
-         (*SILENCE, 'cycle_time'), holds=False, each=True),
+         (*SILENCE, 'cycle_time', 'torque_off'), holds=False, each=True),
     Rule('id_moved', _id_moved,
          (*SILENCE, 'all_silent', 'cycle_time'), holds=False, each=True),
     Rule('protocol_1', _protocol_1,

@@ -48,7 +48,7 @@ def _wrap_read(sender: Any, original: _Method) -> _Method:
         data = original(self, *args, **kwargs)
         try:
             size = args[0] if args else kwargs.get('size', 1)
-            is_short = not data or (self._timeout and len(data) < size)
+            is_short = not data or (getattr(self, '_timeout', None) and len(data) < size)
             if data:
                 if is_short:                   # it waited for more until its time-out
                     away += now() - began
