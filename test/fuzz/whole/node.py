@@ -9,6 +9,7 @@ from importlib import import_module
 import io
 import json
 import os
+import time
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 from unittest.mock import patch
@@ -151,7 +152,9 @@ def through_node(case, folder):
             publish=lambda message: page.take(topic, message, clock.now / 1e9),
             get_subscription_count=lambda: 1))
     stopped = SimpleNamespace(monotonic=lambda: clock.now / 1e9, time_ns=lambda: WALL + clock.now,
-                              monotonic_ns=lambda: clock.now)
+                              monotonic_ns=lambda: clock.now,
+                              time=lambda: (WALL + clock.now) / 1e9,
+                              strftime=time.strftime, localtime=time.localtime)
     with ExitStack() as changed:
         for name, value in (('Node', lambda *_: ROS), ('declare', lambda *_: values),
                             ('load_models', lambda _: MODELS),
