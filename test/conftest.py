@@ -20,6 +20,8 @@ import tempfile
 
 import forked
 from harness import Mcu
+from hypothesis import HealthCheck
+from hypothesis import settings
 import pytest
 from realtime import Rerun
 
@@ -32,6 +34,12 @@ NOT_FIRST = {'realtime': 'judges what real processes do in time',
              'slow': 'takes more than ten seconds',
              'more': 'tries other dialects, sizes and seeds'}
 IN_REST, IN_FIRST = 'scripts/test --all runs it', 'scripts/test runs it'
+
+
+# The same examples in each run, and none judged by its time: chance is for fuzz/.
+settings.register_profile('steady', derandomize=True, deadline=None, database=None,
+                          suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile('steady')
 
 
 class Raise(logging.Handler):

@@ -393,7 +393,6 @@ def test_over_ros_a_signal_has_a_point_for_each_report(dashboard):
     """At the time when it was read."""
     robot = SyntheticRobot()
     path = asked(**{POSITION: 0, GOAL: 0, 'Nothing': 0})
-    dashboard.take(robot.messages(100.0))
     signals(dashboard, 3, path)
     dashboard.take(robot.messages(100.5))
     wait(lambda: signals(dashboard, 3, path)[1][0][2])

@@ -32,7 +32,6 @@ MODELS = Models()
 BAUD = 1_000_000
 BYTE_NS = 10_000
 MS = 1_000_000
-STEADY = settings(derandomize=True, deadline=None, database=None)
 SO_101 = range(1, 7)
 
 
@@ -337,7 +336,7 @@ pieces = st.one_of(
     st.builds(encode, st.integers(0, 255), st.integers(0, 255), st.binary(max_size=20)))
 
 
-@settings(STEADY, max_examples=400)
+@settings(max_examples=400)
 @given(st.lists(pieces, max_size=14).map(b''.join), st.lists(st.integers(1, 30), max_size=30),
        st.booleans())
 def test_any_split_of_mixed_traffic_gives_the_same(data, sizes, claimed):
@@ -360,7 +359,7 @@ def test_any_split_of_mixed_traffic_gives_the_same(data, sizes, claimed):
     assert feed(split) == feed([data])
 
 
-@settings(STEADY, max_examples=300)
+@settings(max_examples=300)
 @given(st.lists(pieces, max_size=14).map(b''.join))
 def test_the_packets_of_2_0_are_those_that_its_own_framer_finds(data):
     mixed, plain = MixedFramer(Told(False)), Framer()

@@ -80,7 +80,7 @@ def test_names():
     assert 0x0B not in DYNAMIXEL_1.entries
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=500)
 @given(st.sampled_from([1, 2, 3, 4, 5, 6, 8, 9, 10, 11, 0x82, 0x83, 0x92, 0, 0x55]),
        st.sampled_from([0, 1, 253, BROADCAST, 255]), st.binary(max_size=60),
        st.sampled_from(DIALECTS))

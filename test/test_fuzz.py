@@ -36,8 +36,7 @@ EXAMPLES = {'capture': 150, 'dashboard': 70, 'dxl1_classifier': 40, 'fast_reply'
             'framer': 250, 'instruction': 250, 'mcu': 150, 'model_file': 80, 'tracker': 50,
             'vel2d': 200}                                       # a second at most
 CORPUS = Path(__file__).parent / 'corpus'
-STEADY = settings(derandomize=True, deadline=None, database=None)
-MACHINE = settings(STEADY, max_examples=50, stateful_step_count=40)
+MACHINE = settings(max_examples=50, stateful_step_count=40)
 MODELS = Models()
 # hypothesis alone draws short ones: a script needs some length to get anywhere
 INPUTS = st.one_of(st.binary(max_size=300), st.builds(
@@ -63,7 +62,7 @@ def test_kept_inputs(target):
 @pytest.mark.parametrize('target', EXAMPLES)
 def test_any_input(target):
     check = import_module(f'fuzz.{target}').check
-    steady = settings(STEADY, max_examples=EXAMPLES[target])
+    steady = settings(max_examples=EXAMPLES[target])
     steady(given(INPUTS)(check))()
 
 

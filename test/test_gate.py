@@ -260,7 +260,7 @@ rates = st.sampled_from([2.0, 10.0, 30.0, 33.0, 100.0, 300.0])
 gaps = st.lists(st.integers(MS, 120 * MS), min_size=60, max_size=150)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(rates, st.sampled_from([0.0, 5.0, 20.0, 33.0]), gaps)
 def test_any_40_frames_keep_to_the_rate(rate, resend, gaps):
     gate, now = opened(max_rate=rate, resend_rate=resend, cmd_vel_timeout=0.0)
@@ -374,7 +374,7 @@ velocities = st.builds(Vel2d, finite, finite, finite)
 bounds = st.one_of(st.just(0.0), st.floats(1e-6, 1e6))
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=500)
 @given(velocities, st.builds(Vel2d, bounds, bounds, bounds))
 def test_limit_keeps_the_direction(velocity, limits):
     limited = limit(velocity, limits)

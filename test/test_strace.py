@@ -112,7 +112,7 @@ def test_any_pieces_and_a_stepped_clock_change_nothing():
     assert again == whole
 
 
-@settings(derandomize=True, deadline=None, database=None, max_examples=100)
+@settings(max_examples=100)
 @given(st.lists(st.tuples(st.integers(0, len(RECORDED) - 1), st.binary(max_size=5),
                           st.integers(0, 30)), max_size=30))
 def test_nothing_that_strace_may_print_raises(changes):

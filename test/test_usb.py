@@ -54,7 +54,7 @@ from servobus.sources.usb_port import UsbPort
 from servobus.sources.usbmon import Records
 
 SESSIONS = ('healthy', 'missing', 'acm')
-STEADY = settings(derandomize=True, deadline=None, database=None, max_examples=60)
+FEW_EXAMPLES = settings(max_examples=60)
 BEGAN = 1_795_329_340_000_000_000
 CHUNKS = st.lists(st.tuples(st.sampled_from((OUT, IN)), st.binary(min_size=1, max_size=1500)),
                   min_size=1, max_size=6)
@@ -116,7 +116,7 @@ def test_tshark_sees_the_same_payloads(session):
 
 @pytest.mark.parametrize('family', FAMILIES)
 @given(chunks=CHUNKS, transfer_size=st.integers(1, 1200))
-@STEADY
+@FEW_EXAMPLES
 def test_what_an_adapter_carries_comes_back(family, chunks, transfer_size):
     heard = hear(events(stream(FakeAdapter(family, transfer_size), chunks)))
     for which in (OUT, IN):
@@ -202,7 +202,7 @@ def test_a_chip_that_does_not_say_its_packet_size_has_small_ones(told, used):
 
 @given(data=st.binary(max_size=200).map(lambda data: data.replace(b'\1', b'\xec')),
        size=st.integers(1, 20))
-@STEADY
+@FEW_EXAMPLES
 def test_escapes_of_a_cp210x_may_be_cut_anywhere(data, size):
     adapter = FakeAdapter('cp210x', size, has_events=True)
     heard = hear(events(stream(adapter, [(OUT, b'\xff\xff'), (IN, data or b'x')])))
@@ -246,7 +246,7 @@ def test_idle_transfers_say_nothing():
 
 @pytest.mark.parametrize('family', FAMILIES)
 @given(chunks=CHUNKS, transfer_size=st.integers(1, 1200), data=st.data())
-@STEADY
+@FEW_EXAMPLES
 def test_the_short_way_through_the_stream_says_the_same(family, chunks, transfer_size, data):
     """Records.events() with UsbPort.skim(), in pieces of any size, against one event at a time."""
     adapter = FakeAdapter(family, transfer_size, has_events=data.draw(st.booleans()))
@@ -329,7 +329,7 @@ def test_big_endian_file():
 
 
 @given(data=st.data())
-@STEADY
+@FEW_EXAMPLES
 def test_records_may_come_in_any_pieces(data):
     whole = stream(FakeAdapter('cdc-acm'), [(OUT, b'\xff\xff'), (IN, ALL_BYTES)])
     borders = sorted(data.draw(st.lists(st.integers(0, len(whole)), max_size=20)))
@@ -354,7 +354,7 @@ def test_cut_anywhere_what_is_in_front_is_used(wrap):
 
 
 @given(data=st.data())
-@STEADY
+@FEW_EXAMPLES
 def test_damage_is_told_and_never_raises(data):
     whole = bytearray(pcapng(MMAPPED, stream(FakeAdapter('ftdi'), [(OUT, ALL_BYTES)])))
     for _ in range(data.draw(st.integers(1, 8))):
@@ -366,7 +366,7 @@ def test_damage_is_told_and_never_raises(data):
 
 
 @given(data=st.binary(max_size=400))
-@STEADY
+@FEW_EXAMPLES
 def test_any_bytes_never_raise(data):
     hear_all(data)
     hear_all(pcap(MMAPPED, b'')[:24] + data)
