@@ -30,7 +30,10 @@ LONGEST = 16                       # bytes: a longer read takes all there is, ga
 NOWHERE = (-1, 1)                  # a use that no table has
 LITTLE, BIG = (-2, 1), (-2, 2)     # uses only of numbers that make sense in this order of bytes
 _KEPT = 256
-_X_SERIES = re.compile(r'2?X[A-Z]\d|2X|MX-\d+$')       # MX(2.0) has the same table
+# Series whose names do not begin with their letters. MX(2.0) has the table of the X series.
+_SERIES = {'X': r'2?X[A-Z]\d|2X|MX-\d+$', 'P': r'P[HM]\d', 'PRO(A)': r'[HM]\d\d-.*\(A\)',
+           'PRO': r'[HLM]\d\d-', 'SMS': r'SM\d', 'Y': r'YM\d'}
+_NAMED_SERIES = 4                  # more are "several"
 # Where several series are left, only these have a meaning: what else is at one address in all
 # series that are known may well be something different in one that is not.
 _COMMON = ('Torque Enable', 'Goal Position', 'Goal Velocity', 'Present Position',
@@ -86,7 +89,7 @@ def agreed(tables: Iterable[Model], used: Collection[Use]) -> Model:
     first, *others = fits
     is_enough = all(map(_is_enough, fits.values()))
     names = {table.name for table in fits}
-    series = {_series(name) for name in names}
+    series = sorted({_series(name) for name in names})
     knows_units = len({table.file for table in fits}) > 1
     knows_order = bool(order) or first.protocol != 'feetech' or all(
         not registers.isdisjoint(_TELLS_ORDER) for registers in fits.values())
@@ -101,8 +104,8 @@ def agreed(tables: Iterable[Model], used: Collection[Use]) -> Model:
                and not any(field.at == at for field in fields) for n in range(size)]
     if not fields:
         return UNKNOWN
-    name = 'several series' if len(series) > 1 or not is_enough else \
-        names.pop() if len(names) == 1 else f'the {series.pop()} series'
+    name = 'several series' if len(series) > _NAMED_SERIES or not is_enough else \
+        names.pop() if len(names) == 1 else f'the {_listed(series)} series'
     return Model(None, name, tuple(fields), protocol=first.protocol)
 
 
@@ -130,15 +133,14 @@ def orders_of(positions: Iterable[bytes | bytearray | None]) -> set[Use]:
 
 def _registers(table: Model, used: Iterable[Use]) -> set[str]:
     """Return the registers that are used; nothing where the table has not all of them."""
-    names = set()
+    names: set[str] = set()
     for at, size in used:
-        end = at + size
-        while at < end:
-            field = table.by_address.get(at)
-            if field is None or field.end > end:
-                return set()
-            names.add(field.name)
-            at = field.end
+        fields = [field for address in range(at, at + size)
+                  if (field := table.by_address.get(address))]
+        # A block may have a gap: Feetech's SDK reads 56 to 70 of an STS, which has nothing at 67.
+        if not fields or fields[0].at != at or fields[-1].end != at + size:
+            return set()
+        names.update(field.name for field in fields)
     return names
 
 
@@ -170,7 +172,13 @@ def _unit(field: Field) -> tuple[object, ...]:
 
 
 def _series(name: str) -> str:
-    return 'X' if _X_SERIES.match(name) else (re.match('[A-Z]+', name) or (name,))[0]
+    known = (series for series, names in _SERIES.items() if re.match(names, name))
+    return next(known, (re.match('[A-Z]+', name) or (name,))[0])
+
+
+def _listed(series: list[str]) -> str:
+    *others, last = series
+    return f'{", ".join(others)} and {last}' if others else last
 
 
 def is_contradicted(layout: Model, values: Iterable[tuple[Field, Value]],
