@@ -195,6 +195,16 @@ def test_names_are_found_as_people_write_them():
     assert MODELS.closest('XM431-W350') == 'XM430-W350'
     assert MODELS.closest('STS3125') == 'STS3215'              # STS3250 is as near
     assert MODELS.closest('teapot') is None
+    assert MODELS.closest('54024') == 'H54-200-S500-R'
+    assert MODELS.closest('54023') is None
+
+
+@pytest.mark.parametrize(('name', 'known'), [
+    ('H54P-200-S500-R', 'PH54-200-S500'), ('M42P_010_S260_R', 'PM42-010-S260'),
+    ('H54-200-S500-R', 'H54-200-S500-R')])
+def test_the_names_of_pro_and_pro_plus_are_not_taken_for_each_other(name, known):
+    assert MODELS.by_name(name).name == known
+    assert known in MODELS.closest(f'PRO_{name}').split(' or ')
 
 
 @pytest.mark.parametrize(('firmware', 'count', 'data'), [

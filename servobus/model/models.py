@@ -27,6 +27,8 @@ _IS_FEETECH = re.compile(rb'^protocol: *feetech *$', re.MULTILINE)
 _NUMBER = re.compile(r'(0x[0-9a-fA-F]{1,4}|0|[1-9][0-9]{0,4}): +([A-Za-z0-9][^:\'"]*)')
 # Names that other software gives to a model: the thesis calls this board Core.
 _ALSO_CALLED = {'core': 'rhobandxlboard'}
+# The P series was sold as PRO+ before: H54P-200-S500-R is PH54-200-S500.
+_PRO_PLUS = re.compile(r'([hm]\d\d)p(\d+s\d+)r?')
 
 
 class Models:
@@ -91,13 +93,15 @@ class Models:
 
     def by_name(self, name: str, firmware: int | None = None) -> Model | None:
         """Return the model of this name; case, hyphens and underscores do not count."""
-        plain = _plain(name)
-        number = self._by_name.get(_ALSO_CALLED.get(plain, plain))
+        number = self._by_name.get(_known_name(name))
         return None if number is None else self._load(number, firmware)
 
     def closest(self, name: str) -> str | None:
         """Return the known name most like this one, for an error message; of a series all."""
-        plain = _plain(name)
+        if name.isdecimal():               # a number resembles no name
+            return ' or '.join(known for key, (_, known) in self._index.items()
+                               if str(key & NUMBER_MASK) == name) or None
+        plain = _known_name(_plain(name).removeprefix('pro').removeprefix('plus'))
         near = difflib.get_close_matches(plain, self._by_name, 5, 0.5)
         near.sort(key=lambda one: sorted(one) != sorted(plain))        # two exchanged: the first
         found = [one for one in self._by_name if len(plain) > 2 and one.startswith(plain)] \
@@ -173,6 +177,13 @@ def scan_numbers(path: Path, layers: Layers) -> dict[int, str]:
 def _twice(path: Path, number: int, other: Path) -> ModelError:
     return ModelError(path, 'model_numbers', f'{number & NUMBER_MASK} is in {other.name} too',
                       'keep one of them')
+
+
+def _known_name(name: str) -> str:
+    """Return the plain form of the name that the files have for what others call so."""
+    plain = _plain(name)
+    old = _PRO_PLUS.fullmatch(plain)
+    return f'p{old[1]}{old[2]}' if old else _ALSO_CALLED.get(plain, plain)
 
 
 def _plain(name: str) -> str:
