@@ -35,6 +35,8 @@ from msg_defs import dxl1_packet
 from msg_defs.event import Chunk
 from msg_defs.uart import byte_ns
 from msg_defs.uart import heard_at
+from servobus.bus.report import FAILED
+from servobus.bus.report import RAISED
 from servobus.doctor import RULES
 from servobus.examination import Examination
 from servobus.model.models import Models
@@ -49,6 +51,7 @@ from servobus.tools.doctor import no_data
 from servobus.tools.doctor import report_file
 from servobus.tools.doctor.answer_screen import screen
 from servobus.tools.doctor.error_window import ErrorWindow
+from servobus.tools.doctor.program import Ending
 from servobus.tools.doctor.verdict import ERROR
 from servobus.tools.doctor.verdict import NOTHING_HEARD
 from servobus.tools.doctor.verdict import verdict
@@ -467,9 +470,40 @@ def test_what_the_official_packages_print_is_known():
     ('serial.serialutil.SerialException: device reports readiness to read but returned no data '
      '(device disconnected or multiple access on port?)',
      'device reports readiness to read but returned no data'),
+    ('dxl_comm_result = -1000', '[TxRxResult] Port is in use!'),
+    ('RuntimeError: -3001', '[TxRxResult] There is no status packet!'),
+    ('[ServoStatus] Overload error!', '[RxPacketError] Overload error!'),
+    ('pyax12.status_packet.StatusChecksumError: Wrong checksum.', 'Wrong length byte.'),
+    ('pyax12.status_packet.RangeError', '[RxPacketError] Out of range error!'),
+    ('motors [3] did not respond after sending DxlReadDataPacket(id=3)', 'DxlTimeoutError'),
+    ('data[2], data[3])) if (result == COMM_SUCCESS) else 0\nIndexError: list index out of range',
+     'IndexError: list index out of range'),
+    ('python_st3215.errors.ServoNotRespondingError: Servo ID 3 did not respond to ping.',
+     'Servo ID {} did not respond to ping'),
+    ('OSError: Operation timed out', 'RuntimeError: Operation timed out'),
+    ('ping failed!, err code: 3', 'Lib error code: 3'),
+    ('[WARN] [controller_manager]: Overrun detected! The controller manager missed its desired '
+     'rate of 100 Hz. The loop took 12.300000 ms (missed cycles : 2).',
+     'Overrun detected! The controller manager missed its desired rate'),
+    ('[ID:001] dxl_error: -591776880', 'error byte above 255'),
+    ('Servo 1 reported error status (code -591776880)', 'error byte above 255'),
 ])
 def test_a_pasted_line_is_explained(pasted, first):
     assert explain.find(pasted)[0].text == first
+
+
+@pytest.mark.parametrize('pasted', [
+    'goal -1000', 'Goal Position: -2000', '-1000 steps', 'encode -1001', 'result: -30011',
+    'commanded position -1000', 'command: -1000', 'position error: -3001', 'arc -1000',
+    'err code: 30', 'dxl_error: 128', '[ERROR] [1736189997.648767720]: no such file'])
+def test_a_number_is_no_return_code_because_a_code_has_its_digits(pasted):
+    assert explain.find(pasted) == []
+
+
+def test_an_error_that_any_program_may_raise_is_not_one_of_the_bus():
+    error = 'IndexError: list index out of range'
+    assert Ending(code=1, error=error).failed == FAILED
+    assert Ending(code=1, error=error, packages=frozenset({'dynamixel_sdk'})).failed == RAISED
 
 
 def test_a_text_that_is_not_known_is_one_line():

@@ -4,6 +4,7 @@
 What the texts mean that programs print: dxl_doctor --explain TEXT.
 
 They are in errors.yaml, as forms: {} is what differs. They are found within what a person pasted.
+A number is a return code only where nothing else is pasted, or where the text speaks of a result.
 """
 
 from __future__ import annotations
@@ -22,10 +23,18 @@ _FILE = 'errors.yaml'
 _SHORTEST = 5                      # characters of a pasted part that may stand for a text
 _NEAR = 0.6                        # alike enough for a guess, 0 to 1
 _WIDTH = 80
+# What stands before a return code; "position error" is a measurement.
+_RESULT = (r'(?:result|(?<=[a-z])error|(?<![a-z])'
+           r'(?:code|comm(?:unication)?(?:[ _][a-z_]+)?|return(?:ed)?|ret|rc))')
 
 
 class Explanation(NamedTuple):
-    """One text. findings: names of rules, the likeliest first; do: what else helps, or ''."""
+    """
+    One text. findings: names of rules, the likeliest first; do: what else helps, or ''.
+
+    code: the return code that says the same, or 0. pattern: a regular expression, or ''.
+    is_general: whether programs without a servo bus print it too.
+    """
 
     text: str
     says: tuple[str, ...]
@@ -33,6 +42,9 @@ class Explanation(NamedTuple):
     means: str
     findings: tuple[str, ...]
     do: str
+    code: int
+    pattern: str
+    is_general: bool
 
 
 @cache
@@ -40,7 +52,9 @@ def explanations() -> tuple[Explanation, ...]:
     """Return all texts, in the order of the file."""
     file = resources.files('servobus.tools.doctor') / _FILE
     return tuple(Explanation(one['text'], tuple(one['says']), tuple(one.get('also', ())),
-                             one['means'], tuple(one['findings']), one.get('do', ''))
+                             one['means'], tuple(one['findings']), one.get('do', ''),
+                             one.get('code', 0), one.get('pattern', ''),
+                             one.get('is_general', False))
                  for one in yaml.safe_load(file.read_text(encoding='utf-8')))
 
 
@@ -58,15 +72,22 @@ def find(pasted: str) -> list[Explanation]:
 
 def _place(one: Explanation, wanted: str) -> int | None:
     """Return where a text is found in what was pasted; None if it is not."""
-    places = []
-    for text in map(_plain, (one.text, *one.also)):
-        parts = text.split('{}')
-        found = re.search('.*?'.join(map(re.escape, parts)), wanted)
-        if found:
-            places.append(found.start())
-        elif len(wanted) >= _SHORTEST and any(wanted in part for part in parts):
-            places.append(0)
+    texts = [_plain(text) for text in (one.text, *one.also)]
+    places = [found.start() for pattern in (*map(_form, texts), _code(one.code), one.pattern)
+              if pattern and (found := re.search(pattern, wanted))]
+    if len(wanted) >= _SHORTEST and any(
+            wanted in part for text in texts for part in text.split('{}')):
+        places.append(0)
     return min(places, default=None)
+
+
+def _form(text: str) -> str:
+    """Return the regular expression of a text: a number at its end is that number."""
+    return '.*?'.join(map(re.escape, text.split('{}'))) + r'(?!\d)' * text[-1].isdigit()
+
+
+def _code(code: int) -> str:
+    return rf'^\W*{code}\W*$|{_RESULT}\W*?{code}\b' if code else ''
 
 
 def nearest(pasted: str) -> str:

@@ -83,7 +83,8 @@ class Ending(NamedTuple):
         """Whether it ended by itself with an error that may be of the bus (bus/report.py)."""
         if not self.code or self.was_stopped:
             return ''
-        is_of_library = self.packages & LIBRARIES or explain.find(self.error or '-')
+        is_of_library = self.packages & LIBRARIES or any(
+            not one.is_general for one in explain.find(self.error or '-'))
         return RAISED if is_of_library else FAILED
 
     @property
