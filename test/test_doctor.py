@@ -17,8 +17,8 @@ from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 from msg_defs.reports import Level
-from servobus import doctor as doctor_module
 from servobus.doctor import Doctor
+from servobus.doctor import engine
 from servobus.doctor import RULES
 from servobus.doctor.case import OPTIONS
 from servobus.doctor.case import PARAMETERS
@@ -52,8 +52,8 @@ def plain_report(stamp):
 
 
 def with_rules(monkeypatch, *rules):
-    monkeypatch.setattr(doctor_module, 'RULES', rules)
-    monkeypatch.setattr(doctor_module, '_RANK', {one.name: n for n, one in enumerate(rules)})
+    monkeypatch.setattr(engine, 'RULES', rules)
+    monkeypatch.setattr(engine, '_RANK', {one.name: n for n, one in enumerate(rules)})
     return Doctor()
 
 
@@ -65,7 +65,7 @@ def saying(*claims, until=1 << 60):
 
 
 def rule(name, check, *explains, level=Level.WARN, holds=True):
-    return Rule(name, check, explains, level, 0.0, holds)
+    return Rule('', '', explains=explains, level=level, holds=holds, name=name, check=check)
 
 
 def names(report):

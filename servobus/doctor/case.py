@@ -33,10 +33,10 @@ from servobus.doctor.bits import look
 from servobus.doctor.bits import shapes
 from servobus.doctor.bits import Wreck
 from servobus.doctor.bits import wrecks
+from servobus.doctor.rhythm import PeriodicTimer
 from servobus.doctor.rhythm import Rhythm
 from servobus.doctor.rhythm import rhythms
-from servobus.doctor.two_timers import PeriodicTimer
-from servobus.doctor.two_timers import two_timers
+from servobus.doctor.rhythm import two_timers
 
 S = 1_000_000_000
 MS = 1_000_000

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 from servobus.bus.report import BusReport
 from servobus.bus.report import Finding
-from servobus.doctor import RULES
-from servobus.doctor import timing_rules
+from servobus.doctor.rules import RULES
+from servobus.doctor.rules import timing
 from servobus.plain import printable
 
 _RANK = {rule.name: rank for rank, rule in enumerate(RULES)}
@@ -21,7 +21,7 @@ _EXPLAINS = {rule.name: rule.explains for rule in RULES}
 
 _Key = tuple[str, int | None]
 _SILENT = 'all_silent', None
-NEEDS_TIMES = frozenset(rule.name for rule in timing_rules.RULES)
+NEEDS_TIMES = frozenset(rule.name for rule in timing.RULES)
 
 
 class Logged(NamedTuple):

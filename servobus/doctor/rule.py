@@ -32,7 +32,7 @@ class Claim(NamedTuple):
     A cause found; device None = the bus. covers: devices with trouble of this cause.
 
     rests_on: the register of these devices whose value it is about, or ANSWER; then registers that
-    decide what the value means. It does not end while the first is not seen again (last_read.py).
+    decide what the value means. It does not end while the first is not seen again (standing.py).
     """
 
     message: str
@@ -66,15 +66,15 @@ Claims = Iterator[Found]
 
 class Rule(NamedTuple):
     """
-    One cause. name: as in the key finding.<name> and in docs/doctor.md.
+    One cause, as docs/doctor.md has it: what is seen, what to do, whom it is about.
 
-    check: from a case to what is found; with `each` or `noted` from a case and a device to what
-    is found of it, or None. explains: rules with claims that follow from this one, on its device
-    and those it covers, and of the bus; a claim about the bus explains those of all devices.
+    explains: rules with claims that follow from this one, on its device and those it covers, and
+    of the bus; a claim about the bus explains those of all devices.
     """
 
-    name: str
-    check: Callable[..., Any]
+    seen: str
+    remedy: str
+    subject: str = 'device'        # or 'bus', or both
     explains: tuple[str, ...] = ()
     level: Level = Level.WARN
     onset_s: float = 0.0           # claimed without a break for so long, before it is reported
@@ -85,6 +85,14 @@ class Rule(NamedTuple):
     noted: tuple[IncidentKind[Any], ...] = ()
     protocols: tuple[str, ...] = ()
     needs_model: bool = False
+    name: str = ''                 # as in the key finding.<name>
+    # From a case to what is found; with `each` or `noted` from a case and a device to what is
+    # found of it, or None.
+    check: Callable[..., Any] = iter
+
+    def checked_by(self, check: Callable[..., Any]) -> 'Rule':
+        """Return the rule with its check, whose name it has; written above that."""
+        return self._replace(name=check.__name__, check=check)
 
 
 def share(part: float, whole: float) -> str:

@@ -18,9 +18,9 @@ from servobus.bus.decoder import Settings
 from servobus.bus.device import WINDOW_S
 from servobus.bus.report import BusReport
 from servobus.bus.report import DeviceReport
-from servobus.doctor import damage
-from servobus.doctor import health
 from servobus.doctor.case import Names
+from servobus.doctor.rules.devices import latched
+from servobus.doctor.rules.noise import NO_PACKETS
 
 _CRC_ERRORS_PER_S = 1.0
 _LOST = (words.DISCONNECTED, words.EXPECTED)
@@ -73,7 +73,7 @@ def _never_heard(device: DeviceReport) -> tuple[str, Level, str]:
 
 
 def _degraded(device: DeviceReport, settings: Settings) -> tuple[Level, str]:
-    fault = health.latched(device)
+    fault = latched(device)
     window = device.window
     if fault is not None:
         return fault.level or Level.ERROR, fault.message
@@ -88,7 +88,7 @@ def _bus(bus: BusReport, devices: Sequence[DeviceReport], names: Names) -> tuple
     if not bus.counters['Bytes'] and bus.last_byte_s is None:
         return Level.STALE, 'nothing heard yet'
     if not bus.counters['Packets'] and bus.is_answered:
-        return Level.WARN, damage.NO_PACKETS.format(bauds=names.bauds)
+        return Level.WARN, NO_PACKETS.format(bauds=names.bauds)
     connected = sum(device.state == words.CONNECTED for device in devices)
     lost = [device.name for device in devices if device.state in _LOST]
     message = (f'none of {len(devices)} devices answers' if lost and not connected

@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rules about Feetech servos: what is peculiar to EEPROM, baud codes and calibration there."""
+"""Feetech servos: what is peculiar to EEPROM, baud codes and calibration there."""
 
 from __future__ import annotations
 
@@ -31,7 +31,10 @@ _OF_LOCK = {'1': ('ignores it', 'switch its power off and on to unlock it'),
             FEETECH: ('forgets it at power-off', 'write 0 to Lock before it, and 1 after it')}
 
 
-def _baud_code(case: Case, device: DeviceReport) -> Found | None:
+@Rule(seen='Baud Rate code 5 to 7, which Feetech and LeRobot read differently',
+      remedy="look for the servo at Feetech's rate",
+      noted=(ev.BAUD_WRITTEN,), protocols=(FEETECH,), explains=(*SILENCE, 'baud_moved')).checked_by
+def baud_code(case: Case, device: DeviceReport) -> Found | None:
     code = case.incidents(ev.BAUD_WRITTEN, device)[-1].detail.value
     taken_for = LEROBOT_BAUDS.get(code)
     field = device.model.by_name.get('Baud Rate')      # the servo may prove to be another one
@@ -43,7 +46,10 @@ def _baud_code(case: Case, device: DeviceReport) -> Found | None:
                  {'code': code})
 
 
-def _locked(case: Case, device: DeviceReport) -> Found | None:
+@Rule(seen='EEPROM written while Lock is 1',
+      remedy='write 0 to Lock before it, and 1 after it',
+      each=True, protocols=FAMILY_1).checked_by
+def lock(case: Case, device: DeviceReport) -> Found | None:
     values = case.values[device.id]
     lock = values.get('Lock')
     written = [device.model.by_address[one.detail.value].name for one in
@@ -62,7 +68,10 @@ def _locked(case: Case, device: DeviceReport) -> Found | None:
                  {'written': ', '.join(dict.fromkeys(written))})
 
 
-def _calibrated_twice(case: Case, device: DeviceReport) -> Found | None:
+@Rule(seen='the new offset includes the old one, or was measured with it',
+      remedy='write 0 to Homing Offset, calibrate once',
+      noted=(ev.CALIBRATED, ev.OFFSET_WRITTEN)).checked_by
+def calibrated_twice(case: Case, device: DeviceReport) -> Found | None:
     times = case.count(ev.CALIBRATED, device)
     if times >= TWICE:
         return Claim(f'calibrated {times} times within 10 s: each time its present '
@@ -86,7 +95,10 @@ def _signed(offset: int) -> int:
     return offset if offset < SIGN else SIGN - offset
 
 
-def _mixed_firmware(case: Case) -> Claims:
+@Rule(seen='one model with different firmware',
+      remedy='update them',
+      subject='bus').checked_by
+def mixed_firmware(case: Case) -> Claims:
     by_model: defaultdict[str, dict[int, str]] = defaultdict(dict)
     for device in case.report.devices:
         if device.model.protocol == FEETECH:
@@ -106,11 +118,4 @@ def _mixed_firmware(case: Case) -> Claims:
                         {'versions': ', '.join(sorted(count))})
 
 
-RULES = (
-    Rule('baud_code', _baud_code,
-         (*SILENCE, 'baud_moved'),
-         noted=(ev.BAUD_WRITTEN,), protocols=(FEETECH,)),
-    Rule('lock', _locked, each=True, protocols=FAMILY_1),
-    Rule('calibrated_twice', _calibrated_twice, noted=(ev.CALIBRATED, ev.OFFSET_WRITTEN)),
-    Rule('mixed_firmware', _mixed_firmware),
-)
+RULES = (baud_code, lock, calibrated_twice, mixed_firmware)

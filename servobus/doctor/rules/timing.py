@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Rules about time: who is too early, too late, too slow, out of step.
+Time: who is too early, too late, too slow, out of step.
 
 What is finer than the adapter resolves is not judged: latencies come with their share resolved,
 periods are judged in parts of themselves (rhythm.py).
@@ -27,10 +27,10 @@ from servobus.bus.report import Incident
 from servobus.bus.report import ROBBER
 from servobus.doctor.case import Case
 from servobus.doctor.case import key_of
-from servobus.doctor.collision import is_collision
-from servobus.doctor.collision import laid_over_answers
-from servobus.doctor.collision import ran_into_answers
-from servobus.doctor.last_question import read_late
+from servobus.doctor.facts import is_collision
+from servobus.doctor.facts import laid_over_answers
+from servobus.doctor.facts import ran_into_answers
+from servobus.doctor.facts import read_late
 from servobus.doctor.rhythm import answer_ns
 from servobus.doctor.rhythm import AT_ONCE_NS
 from servobus.doctor.rhythm import is_independent
@@ -81,7 +81,85 @@ SEVERAL = 3                        # Reads that one Sync Read replaces
 SLOW_MS = 0.4                      # reply latency: Return Delay Time from the factory is 0.5 ms
 
 
-def _impatient(case: Case) -> Claims:
+# --- several masters -----------------------------------------------------------------------------
+
+@Rule(seen='two independent rhythms of instructions; or answers are lost while another program,'
+           ' or a second one that was started, has the port open, or one reads after the other '
+           'has asked',
+      remedy='find the second program; give threads one lock',
+      subject='bus', level=Level.ERROR, onset_s=1.0,
+      explains=(*DAMAGE, 'impatient_master', 'late_answers', 'duplicate_id', 'foreign_answers',
+                'turnaround', 'brown_out')).checked_by
+def two_masters(case: Case) -> Claims:
+    foreign = case.count(ev.FOREIGN)
+    if foreign >= FOREIGN_ENOUGH:
+        yield Claim(f'the master received {foreign} instructions that it did not send: '
+                    'another program uses this bus; stop '
+                    'one', {'instructions': foreign})
+        return
+    lost = sum(one.window.missed for one in case.report.devices if one.id not in case.gone)
+    harm = lost + case.damage + case.count(ev.LATE) + FEW * case.count(ev.UNASKED)
+    if ROBBER in case.report.users or (case.report.users and harm >= FEW):
+        yield Claim(f'{", ".join(case.report.users)} uses this port too, and answers get '
+                    'lost or damaged: let only one use it',
+                    {'missed answers': lost, 'damaged packets': case.damage}, is_certain=True)
+        return
+    if case.report.has_sides and harm < FEW:
+        return                                 # one program with two timers, or with a lock
+    pair = _apart(case)
+    if pair is None:
+        for clocks in case.clocks:
+            fast, slow = sorted(timer.period / MS for timer in clocks.timers)
+            words = f'{_words(clocks.cycle, fast * MS)} and every {slow:.0f} ms'
+            if is_collision(case):
+                yield _two(case, words)
+            else:
+                yield Doubt(f'{words}: two programs, or one with two timers')
+            return
+    else:
+        one, other = pair
+        yield _two(case, f'{_words(one.cycle, one.base)} and {_words(other.cycle, other.base)}')
+
+
+def _apart(case: Case) -> tuple[Rhythm, Rhythm] | None:
+    """Return two instructions that keep time apart from each other."""
+    ordered = sorted(case.rhythms, key=attrgetter('base'))
+    least = max(BLURRED * case.blur_ms, 1.0) * MS
+    if not ordered or (not laid_over_answers(case) and (
+            ordered[0].base <= least or not ordered[0].is_steady)):
+        return None
+    one, *others = [one for one in ordered if one.is_steady] or ordered[:1]
+    if one.base <= least or not one.is_steady:
+        return None
+    collide = is_collision(case)               # as one program's questions never do
+    for other in others:
+        differs = collide and not is_locked(other, one)
+        if (differs and one is ordered[0]) or (
+                (differs or not is_multiple(other, one))
+                and is_independent(one, other) and is_independent(other, one)):
+            return one, other
+    return None
+
+
+def _two(case: Case, words: str) -> Claim:
+    return Claim(f'{words}: two programs, or two threads without a lock; let only one ask',
+                 {'damaged packets': case.damage})
+
+
+def _words(cycle: Cycle, period: float) -> str:
+    whom = f'{cycle.ids[0]:03}' if len(cycle.ids) == 1 else f'{len(cycle.ids)} IDs'
+    at = f' at {cycle.address}' if cycle.address is not None else ''
+    return f'{name_of(cycle.instruction)} of {whom}{at} every {period / MS:.0f} ms'
+
+
+# --- a master that does not wait, and answers that are late --------------------------------------
+
+@Rule(seen='the master does not wait for the whole answer, or throws answers away unread',
+      remedy='raise its time-out; let it read them',
+      subject='bus',
+      explains=(*SILENCE, *DAMAGE, 'late_answers', 'duplicate_id', 'factory_id', 'all_silent',
+                'no_acks')).checked_by
+def impatient_master(case: Case) -> Claims:
     spoilt = [wait.stamp for wait in case.report.waits if wait.is_spoilt]      # asked once more
     again = Counter(code for stamp, code in case.repeats.items()
                     if not any(0 <= stamp - one < TOGETHER_NS for one in spoilt))
@@ -179,7 +257,10 @@ def _hidden_repeats(case: Case) -> list[Incident[ev.Code]]:
     return first
 
 
-def _late_answers(case: Case) -> Claims:
+@Rule(seen='the answer comes after the master gave up',
+      remedy='lower Return Delay Time, or raise the time-out',
+      explains=(*DAMAGE, 'duplicate_id', 'foreign_answers', 'turnaround', 'cycle_time')).checked_by
+def late_answers(case: Case) -> Claims:
     late, fatal = case.incidents(ev.LATE), read_late(case)
     first: Counter[int] = Counter()
     before = 0
@@ -212,7 +293,10 @@ def _is_cut_short(case: Case) -> bool:
     return bool(waits) and median(waits) < (SOON_US if case.report.has_sides else NO_WAIT_US)
 
 
-def _wrong_length(case: Case, device: DeviceReport) -> Found | None:
+@Rule(seen='answers of the wrong length',
+      remedy='update its firmware; look for a second device with this ID',
+      noted=(ev.WRONG_SIZE,)).checked_by
+def wrong_length(case: Case, device: DeviceReport) -> Found | None:
     wrong = case.incidents(ev.WRONG_SIZE, device)
     if len(wrong) < FEW or 4 * case.count(ev.LATE, device) > len(wrong):
         return None
@@ -222,7 +306,12 @@ def _wrong_length(case: Case, device: DeviceReport) -> Found | None:
                  {'answers': len(wrong)})
 
 
-def _latency_timer(case: Case) -> Claims:
+# --- slow adapters, devices and lines ------------------------------------------------------------
+
+@Rule(seen='instructions come 16 ms after the last answer',
+      remedy="set the latency timer of the master's adapter to 1 ms",
+      subject='bus', explains=('jitter', 'cycle_time')).checked_by
+def latency_timer(case: Case) -> Claims:
     answers = [answer_ns(cycle, case.report.baud) for cycle in case.report.cycles]
     answered = sum(len(cycle.stamps) - bisect_right(cycle.stamps, case.now - S)
                    for cycle, answer in zip(case.report.cycles, answers, strict=True) if answer)
@@ -261,7 +350,31 @@ def _latency_timer(case: Case) -> Claims:
                     {'16 ms later': f'{len(slow)} of {len(gaps)}'})
 
 
-def _return_delay(case: Case) -> Claims:
+@Rule(seen='busy for 75 % of the time, and damage or answers missed now and then',
+      remedy='raise the baud rate, read less',
+      subject='bus',
+      explains=('jitter', 'two_masters', 'impatient_master', 'cycle_time')).checked_by
+def bus_too_slow(case: Case) -> Claims:
+    seconds = (case.now - case.mark(LOAD_S).stamp) / S
+    got = case.counted('bytes', LOAD_S)
+    if seconds < 1.0:
+        return
+    load = 100 * got * byte_ns(case.report.baud) / S / seconds
+    if load > LOADED:
+        steady = next(iter(case.rhythms), None)
+        per_cycle = f', {got / seconds * steady.period / S:.0f} bytes per cycle' if steady else ''
+        harm = case.damage or any(device.window.missed and not device.missed_in_a_row
+                                  for device in case.report.devices)      # one is not just dead
+        yield Claim(f'the line is busy for more than {LOADED:.0f} % of the time{per_cycle}: '
+                    'no room for a retry; raise the baud rate, or read less',
+                    {'load (%)': f'{load:.0f}', 'bytes per second': f'{got / seconds:.0f}'},
+                    Level.WARN if harm else Level.OK)
+
+
+@Rule(seen='Return Delay Time is 0.4 ms or more',
+      remedy='write 0',
+      level=Level.OK, explains=('cycle_time',)).checked_by
+def return_delay(case: Case) -> Claims:
     for device in case.report.devices:
         register = case.values[device.id].get('Return Delay Time')
         delay_ms = register.value.number * 1000 if register and register.value.number is not None \
@@ -290,86 +403,12 @@ def _delay_claim(case: Case, device: DeviceReport, delay_ms: float | None,
                  device=device.id)
 
 
-def _bus_too_slow(case: Case) -> Claims:
-    seconds = (case.now - case.mark(LOAD_S).stamp) / S
-    got = case.counted('bytes', LOAD_S)
-    if seconds < 1.0:
-        return
-    load = 100 * got * byte_ns(case.report.baud) / S / seconds
-    if load > LOADED:
-        steady = next(iter(case.rhythms), None)
-        per_cycle = f', {got / seconds * steady.period / S:.0f} bytes per cycle' if steady else ''
-        harm = case.damage or any(device.window.missed and not device.missed_in_a_row
-                                  for device in case.report.devices)      # one is not just dead
-        yield Claim(f'the line is busy for more than {LOADED:.0f} % of the time{per_cycle}: '
-                    'no room for a retry; raise the baud rate, or read less',
-                    {'load (%)': f'{load:.0f}', 'bytes per second': f'{got / seconds:.0f}'},
-                    Level.WARN if harm else Level.OK)
+# --- the cycle of the master ---------------------------------------------------------------------
 
-
-def _two_masters(case: Case) -> Claims:
-    foreign = case.count(ev.FOREIGN)
-    if foreign >= FOREIGN_ENOUGH:
-        yield Claim(f'the master received {foreign} instructions that it did not send: '
-                    'another program uses this bus; stop '
-                    'one', {'instructions': foreign})
-        return
-    lost = sum(one.window.missed for one in case.report.devices if one.id not in case.gone)
-    harm = lost + case.damage + case.count(ev.LATE) + FEW * case.count(ev.UNASKED)
-    if ROBBER in case.report.users or (case.report.users and harm >= FEW):
-        yield Claim(f'{", ".join(case.report.users)} uses this port too, and answers get '
-                    'lost or damaged: let only one use it',
-                    {'missed answers': lost, 'damaged packets': case.damage}, is_certain=True)
-        return
-    if case.report.has_sides and harm < FEW:
-        return                                 # one program with two timers, or with a lock
-    pair = _apart(case)
-    if pair is None:
-        for clocks in case.clocks:
-            fast, slow = sorted(timer.period / MS for timer in clocks.timers)
-            words = f'{_words(clocks.cycle, fast * MS)} and every {slow:.0f} ms'
-            if is_collision(case):
-                yield _two(case, words)
-            else:
-                yield Doubt(f'{words}: two programs, or one with two timers')
-            return
-    else:
-        one, other = pair
-        yield _two(case, f'{_words(one.cycle, one.base)} and {_words(other.cycle, other.base)}')
-
-
-def _apart(case: Case) -> tuple[Rhythm, Rhythm] | None:
-    """Return two instructions that keep time apart from each other."""
-    ordered = sorted(case.rhythms, key=attrgetter('base'))
-    least = max(BLURRED * case.blur_ms, 1.0) * MS
-    if not ordered or (not laid_over_answers(case) and (
-            ordered[0].base <= least or not ordered[0].is_steady)):
-        return None
-    one, *others = [one for one in ordered if one.is_steady] or ordered[:1]
-    if one.base <= least or not one.is_steady:
-        return None
-    collide = is_collision(case)               # as one program's questions never do
-    for other in others:
-        differs = collide and not is_locked(other, one)
-        if (differs and one is ordered[0]) or (
-                (differs or not is_multiple(other, one))
-                and is_independent(one, other) and is_independent(other, one)):
-            return one, other
-    return None
-
-
-def _two(case: Case, words: str) -> Claim:
-    return Claim(f'{words}: two programs, or two threads without a lock; let only one ask',
-                 {'damaged packets': case.damage})
-
-
-def _words(cycle: Cycle, period: float) -> str:
-    whom = f'{cycle.ids[0]:03}' if len(cycle.ids) == 1 else f'{len(cycle.ids)} IDs'
-    at = f' at {cycle.address}' if cycle.address is not None else ''
-    return f'{name_of(cycle.instruction)} of {whom}{at} every {period / MS:.0f} ms'
-
-
-def _jitter(case: Case) -> Claims:
+@Rule(seen='a regular loop lost its rhythm',
+      remedy='real-time priority; take slow work out of the loop',
+      subject='bus', onset_s=JITTER_ONSET_S, explains=('cycle_time',)).checked_by
+def jitter(case: Case) -> Claims:
     rhythms = case.rhythms
     if not rhythms or case.waits(WAITED_S):
         return
@@ -389,7 +428,12 @@ def _jitter(case: Case) -> Claims:
                      'cycle (ms)': f'{low:.1f} to {high:.1f}, usually {best.period / MS:.1f}'})
 
 
-def _cycle_time(case: Case) -> Claims:
+@Rule(seen='more than half of each cycle is work of the program (not a pause between cycles), '
+           'answers that wait for it to read, waiting for one device, or exchanges that could '
+           'be faster; needs a source that knows who sent what',
+      remedy='what the finding says',
+      subject='bus or device', level=Level.OK, onset_s=1.0).checked_by
+def cycle_time(case: Case) -> Claims:
     """Name what takes most of each cycle; not the pause of a program that sleeps."""
     times = case.report.cycle
     if times is None or times.unknown:
@@ -428,21 +472,5 @@ def _faster(case: Case, within_ns: float) -> Iterator[str]:
                'the adapter to 1 ms and Return Delay Time to 0')
 
 
-RULES = (
-    Rule('two_masters', _two_masters,
-         (*DAMAGE, 'impatient_master', 'late_answers', 'duplicate_id', 'foreign_answers',
-          'turnaround', 'brown_out'),
-         onset_s=1.0, level=Level.ERROR),
-    Rule('impatient_master', _impatient,
-         (*SILENCE, *DAMAGE, 'late_answers', 'duplicate_id', 'factory_id', 'all_silent',
-          'no_acks')),
-    Rule('late_answers', _late_answers,
-         (*DAMAGE, 'duplicate_id', 'foreign_answers', 'turnaround', 'cycle_time')),
-    Rule('wrong_length', _wrong_length, noted=(ev.WRONG_SIZE,)),
-    Rule('latency_timer', _latency_timer, ('jitter', 'cycle_time')),
-    Rule('bus_too_slow', _bus_too_slow,
-         ('jitter', 'two_masters', 'impatient_master', 'cycle_time')),
-    Rule('jitter', _jitter, ('cycle_time',), onset_s=JITTER_ONSET_S),
-    Rule('return_delay', _return_delay, ('cycle_time',), level=Level.OK),
-    Rule('cycle_time', _cycle_time, onset_s=1.0, level=Level.OK),
-)
+RULES = (two_masters, impatient_master, late_answers, wrong_length, latency_timer, bus_too_slow,
+    jitter, return_delay, cycle_time)

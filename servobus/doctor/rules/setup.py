@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rules about servos that were not set up for this robot: ID, supply, table of another series."""
+"""Servos that were never set up for this robot: ID, supply, table of another series."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from msg_defs.reports import Level
 from servobus.bus import evidence as ev
 from servobus.bus.report import DeviceReport
 from servobus.doctor.case import Case
-from servobus.doctor.health import ALIVE_VOLTS
-from servobus.doctor.health import last_read
-from servobus.doctor.health import limit_of
-from servobus.doctor.health import SUPPLY
+from servobus.doctor.facts import ALIVE_VOLTS
+from servobus.doctor.facts import last_read
+from servobus.doctor.facts import limit_of
+from servobus.doctor.facts import SUPPLY
 from servobus.doctor.rule import Claim
 from servobus.doctor.rule import Claims
 from servobus.doctor.rule import DAMAGE
@@ -46,7 +46,12 @@ _ELSEWHERE = {30: 'Goal Position of AX and MX', 36: 'Present Position of AX and 
               116: 'Goal Position of X', 132: 'Present Position of X'}
 
 
-def _factory_id(case: Case) -> Claims:
+@Rule(seen='several new servos have ID 1',
+      remedy='connect them one at a time, give each its own ID',
+      level=Level.ERROR,
+      explains=(*SILENCE, *DAMAGE, 'duplicate_id', 'all_silent', 'turnaround', 'foreign_answers',
+                'wrong_length', 'late_answers', 'cycle_time')).checked_by
+def factory_id(case: Case) -> Claims:
     first = case.devices.get(FACTORY_ID)
     absent = [device.id for device in case.report.devices if device is not first
               and device.last_heard_s is None
@@ -68,7 +73,11 @@ def _clashes(case: Case, device: DeviceReport) -> bool:
         window.spoilt >= FEW and window.spoilt >= CLASHES * window.asked)
 
 
-def _wrong_supply(case: Case) -> Claims:
+@Rule(seen='a 7.4 V servo on 12 V; WARN: a 12 V servo on 7.4 V (1.0 family)',
+      remedy='compare its label with the supply',
+      level=Level.ERROR, onset_s=ONSET_S,
+      explains=('voltage', 'hardware_error', 'torque_off')).checked_by
+def wrong_supply(case: Case) -> Claims:
     high, low, unknown = [], [], []
     for device in case.report.devices:
         volts = last_read(case, device, SUPPLY[0])
@@ -107,7 +116,10 @@ def _supply_claims(found: list[tuple[DeviceReport, float, float]], words: str,
                     rests_on=SUPPLY)
 
 
-def _layout(case: Case, device: DeviceReport) -> Found | None:
+@Rule(seen='reads or writes that cut a register (1.0 family)',
+      remedy='use the table of its model',
+      each=True, protocols=FAMILY_1, needs_model=True).checked_by
+def layout(case: Case, device: DeviceReport) -> Found | None:
     order = case.values[device.id].get('Byte Order')
     place = device.model.by_name.get('Present Position')
     if order is not None and place is not None \
@@ -144,11 +156,4 @@ def _unfit(model: Model, begin: int, length: int) -> str:
     return ''
 
 
-RULES = (
-    Rule('factory_id', _factory_id,
-         (*SILENCE, *DAMAGE, 'duplicate_id', 'all_silent', 'turnaround', 'foreign_answers',
-          'wrong_length', 'late_answers', 'cycle_time'), level=Level.ERROR),
-    Rule('wrong_supply', _wrong_supply, ('voltage', 'hardware_error', 'torque_off'),
-         onset_s=ONSET_S, level=Level.ERROR),
-    Rule('layout', _layout, each=True, protocols=FAMILY_1, needs_model=True),
-)
+RULES = (factory_id, wrong_supply, layout)
