@@ -171,18 +171,16 @@ for _ in range(3000):
 @pytest.mark.more
 def test_a_finding(copy):
     code = copy('a finding')
-    code.change('servobus/doctor/health.py',
+    code.change('servobus/doctor/rules/devices.py',
                 ('RULES = (', """\
-def _nameless(case: Case, device: DeviceReport) -> Found | None:
+@Rule(seen='no joint name', remedy='name it in `devices`', each=True).checked_by
+def nameless(case: Case, device: DeviceReport) -> Found | None:
     return None if device.joint else Claim('it has no joint name; give it one')
 
 
 """),
-                ("    Rule('watchdog',", """\
-    Rule('nameless', _nameless, each=True),
-"""), named='servobus/doctor/FAMILY.py')
-    code.change('docs/doctor.md', (
-        '| `watchdog` ', '| `nameless` WARN | no joint name | name it in `devices` |\n'))
+                ('watchdog, too_hot', 'nameless, '), named='servobus/doctor/rules/FAMILY.py')
+    assert 'doctor.md' in code.run('-m', 'docs.generate')
     code.change('test/doctor_edges.yaml', ('- rule: baud_moved', """\
 - rule: nameless
   devices: [{id: 1}]
@@ -190,11 +188,9 @@ def _nameless(case: Case, device: DeviceReport) -> Found | None:
   too little:
   - devices: [{id: 1, joint: knee}]
 """))
-    code.change('test/value_findings.yaml', ('  models that are not known', """\
-  names: [nameless]
-"""))
     code.passes('test_doctor_edges.py', 'nameless')
-    code.passes('test_value_findings.py', 'in_the_table')
+    code.passes('test_value_findings.py', 'rests_on')
+    code.passes('test_docs.py', 'generated_pages')
     code.passes('test_doctor_faults.py', 'every_rule')
     code.passes('test_doctor.py', 'every_rule or rules_explain', 2)
     assert code.run('-c', """
