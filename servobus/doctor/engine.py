@@ -18,6 +18,7 @@ from servobus.bus.decoder import Settings
 from servobus.bus.report import BusReport
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import Finding
+from servobus.doctor import rules
 from servobus.doctor.case import Case
 from servobus.doctor.case import History
 from servobus.doctor.case import Names
@@ -29,7 +30,6 @@ from servobus.doctor.rules import devices
 from servobus.doctor.rules import missing
 from servobus.doctor.rules import noise
 from servobus.doctor.rules import program
-from servobus.doctor.rules import RULES
 from servobus.doctor.standing import claimed
 from servobus.doctor.standing import dated
 from servobus.doctor.standing import held
@@ -41,7 +41,6 @@ S = 1_000_000_000
 HUSH_S = 0.5                       # no byte for so long: there is nothing to judge
 WEAK_S = 1.5                       # what one answer says, where many are damaged
 HOLD_NS = 3 * S                    # a claim lasts so much longer than its evidence
-_RANK = {rule.name: rank for rank, rule in enumerate(RULES)}
 # The rules that work on a bus on which nothing happens any more.
 _AT_REST = (missing.sync_read_stops, missing.no_answer, program.master_stopped)
 _Key = tuple[str, int | None]
@@ -68,7 +67,7 @@ class Doctor:
                 for found in noise.source_lost(case)))
         doubts: list[Finding] = []
         since: dict[_Key, int] = {}
-        for rule in RULES:
+        for rule in rules.RULES:
             for found in found_by(rule, case):
                 if isinstance(found, Claim):
                     key = rule.name, found.device
@@ -86,11 +85,12 @@ class Doctor:
                 or (key in since and one.reading is not None)) else held(case, one)) is not None}
         findings = self._told(case)
         named = {(finding.rule, finding.device) for finding in findings}
-        explained = {name for finding in findings if finding.device is None
-                     and finding.level is not Level.OK
-                     for name in RULES[_RANK[finding.rule]].explains}
-        self._doubts = tuple(one for one in doubts if one.rule not in explained
-                             and (one.rule, one.device) not in named)
+        causes = [rules.BY_NAME[finding.rule] for finding in findings
+                  if finding.device is None and finding.level is not Level.OK]
+        self._doubts = tuple(
+            one for one in doubts if (one.rule, one.device) not in named
+            and not any(rules.BY_NAME[one.rule].symptoms <= cause.accounts_for
+                        for cause in causes))
         return _with(case, findings, self._doubts)
 
     def _last_told(self, case: Case) -> tuple[Finding, ...]:
@@ -108,11 +108,13 @@ class Doctor:
             return ()
         standing = [one if one.reading is None else dated(case, one)
                     for one in self._standing.values()]
-        causes = [one for one in standing if one.rule.explains and not one.claim.stands_alone]
-        findings = [_finding(one) for one in standing
-                    if not any(_explains(by, one) for by in causes)]
-        return tuple(sorted(findings, key=lambda one: (-one.level, one.read_at > 0,
-                                                       _RANK[one.rule])))
+        findings = [_finding(one) for one in standing]
+        causes = [finding for one, finding in zip(standing, findings, strict=True)
+                  if one.rule.accounts_for and not one.claim.stands_alone]
+        reported = [effect for effect in findings
+                    if not [cause for cause in causes if rules.accounts_for(cause, effect)]]
+        return tuple(sorted(reported, key=lambda one: (-one.level, one.read_at > 0,
+                                                       rules.RANKS[one.rule])))
 
 
 def _finding(one: Standing) -> Finding:
@@ -144,17 +146,6 @@ def _whom(rule: Rule, case: Case) -> Iterator[DeviceReport]:
         if (device.model.protocol in rule.protocols or not rule.protocols) \
                 and not (rule.needs_model and device.model.number is None):
             yield device
-
-
-def _explains(one: Standing, other: Standing) -> bool:
-    """Tell whether one claim accounts for another: what was once no longer does for what is."""
-    name, by, claim = other.rule.name, one.claim, other.claim
-    if name not in one.rule.explains or one is other or (one.is_old and not other.is_old):
-        return False
-    if one.rule.name == name:               # the bus has it, so its devices do; not the reverse
-        return by.device is None
-    return by.device is None or claim.device is None or claim.device == by.device \
-        or claim.device in by.covers
 
 
 def _with(case: Case, findings: tuple[Finding, ...],

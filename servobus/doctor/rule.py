@@ -11,18 +11,16 @@ from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Iterator
 from collections.abc import Mapping
+from collections.abc import Set
 from math import log
 from typing import Any
 from typing import NamedTuple
 
 from msg_defs.reports import Level
 from servobus.bus.report import IncidentKind
+from servobus.doctor.symptom import Symptom
 
 RECENT_S = 10.0                    # a value that is older says nothing of now
-
-# What follows from many causes, for `explains`.
-SILENCE = ('no_answer', 'sync_read_stops', 'broken_cable', 'missed_answers', 'jitter')
-DAMAGE = ('noise', 'damaged_answers', 'missed_answers', 'dropout', 'stray_bytes', 'jitter')
 ANSWER = 'answer'                  # for `rests_on`: the last answer to any instruction
 FAMILY_1 = ('1', 'feetech')        # as model files call the protocols of the 1.0 family
 
@@ -68,14 +66,15 @@ class Rule(NamedTuple):
     """
     One cause, as docs/doctor.md has it: what is seen, what to do, whom it is about.
 
-    explains: rules with claims that follow from this one, on its device and those it covers, and
-    of the bus; a claim about the bus explains those of all devices.
+    symptoms: what its findings consist of; accounts_for: symptoms that follow from them, of its
+    device and those that a claim covers, and of the bus; those of all, where it is about the bus.
     """
 
     seen: str
     remedy: str
     subject: str = 'device'        # or 'bus', or both
-    explains: tuple[str, ...] = ()
+    symptoms: Set[Symptom] = frozenset()
+    accounts_for: Set[Symptom] = frozenset()
     level: Level = Level.WARN
     onset_s: float = 0.0           # claimed without a break for so long, before it is reported
     holds: bool = True             # lasts some seconds longer than its evidence; a state does not

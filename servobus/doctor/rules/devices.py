@@ -55,7 +55,8 @@ _ERRORS = ('Hardware Error Status', 'Error Code')
 @Rule(seen='the alert bit; WARN until Hardware Error Status is read; in the 1.0 family the '
            'state of now',
       remedy='remove the cause, then Reboot (Dynamixel 2.0)',
-      level=Level.ERROR, holds=False, each=True).checked_by
+      level=Level.ERROR, holds=False, each=True,
+      symptoms={'error bits'}).checked_by
 def hardware_error(_: Case, device: DeviceReport) -> Found | None:
     return None if device.last_error.endswith(_OF_SUPPLY) else latched(device)
 
@@ -87,7 +88,9 @@ def latched(device: DeviceReport) -> Claim | None:
 
 @Rule(seen='Bus Watchdog has stopped it',
       remedy='write 0 to it; write goals more often',
-      level=Level.ERROR, each=True, explains=('wrong_address', 'refused', 'torque_off')).checked_by
+      level=Level.ERROR, each=True,
+      symptoms={'proof'},
+      accounts_for={'refused address', 'refused access', 'joint at rest'}).checked_by
 def watchdog(case: Case, device: DeviceReport) -> Found | None:
     seen = case.values[device.id].get('Bus Watchdog')
     if seen is None:
@@ -111,7 +114,8 @@ def _is_goal(device: DeviceReport, address: int) -> bool:
 
 @Rule(seen='at its Temperature Limit; WARN from 5 degrees below',
       remedy='less load, more air',
-      level=Level.ERROR).checked_by
+      level=Level.ERROR,
+      symptoms={'proof'}).checked_by
 def too_hot(case: Case) -> Claims:
     unknown = []
     for device in case.report.devices:
@@ -138,7 +142,9 @@ def _level(is_beyond: bool) -> Level:
 @Rule(seen='outside its limits, or its error byte says so (1.0 family); WARN within 0.3 V of '
            'them',
       remedy='charge the battery, use thicker cables',
-      subject='device or bus', level=Level.ERROR, explains=('voltage',)).checked_by
+      subject='device or bus', level=Level.ERROR,
+      symptoms={'voltage limit'},
+      accounts_for={'voltage limit'}).checked_by
 def voltage(case: Case) -> Claims:
     unknown, pinged = [], []
     found = []
@@ -188,7 +194,8 @@ def _supply(device: DeviceReport, volts: float, is_beyond: bool, where: str) -> 
 
 @Rule(seen='positions jump between 4095 and 0 while goals are sent (1.0 family)',
       remedy='calibrate with the joint in the middle of its range',
-      each=True).checked_by
+      each=True,
+      symptoms={'proof'}).checked_by
 def range_wraps(case: Case, device: DeviceReport) -> Found | None:
     goal, place = map(case.values[device.id].get, ('Goal Position', 'Present Position'))
     if goal is None or goal.source != 'w' or goal.age_s > FRESH_S \

@@ -18,7 +18,7 @@ from servobus.doctor.rule import Found
 from servobus.doctor.rule import listed
 from servobus.doctor.rule import RECENT_S
 from servobus.doctor.rule import Rule
-from servobus.doctor.rule import SILENCE
+from servobus.doctor.symptom import SILENCE
 
 FEETECH = 'feetech'
 # What LeRobot takes these codes for (its tables of Feetech motors, commit 7427f31).
@@ -33,7 +33,9 @@ _OF_LOCK = {'1': ('ignores it', 'switch its power off and on to unlock it'),
 
 @Rule(seen='Baud Rate code 5 to 7, which Feetech and LeRobot read differently',
       remedy="look for the servo at Feetech's rate",
-      noted=(ev.BAUD_WRITTEN,), protocols=(FEETECH,), explains=(*SILENCE, 'baud_moved')).checked_by
+      noted=(ev.BAUD_WRITTEN,), protocols=(FEETECH,),
+      symptoms={'proof'},
+      accounts_for={*SILENCE, 'changed rate'}).checked_by
 def baud_code(case: Case, device: DeviceReport) -> Found | None:
     code = case.incidents(ev.BAUD_WRITTEN, device)[-1].detail.value
     taken_for = LEROBOT_BAUDS.get(code)
@@ -48,7 +50,8 @@ def baud_code(case: Case, device: DeviceReport) -> Found | None:
 
 @Rule(seen='EEPROM written while Lock is 1',
       remedy='write 0 to Lock before it, and 1 after it',
-      each=True, protocols=FAMILY_1).checked_by
+      each=True, protocols=FAMILY_1,
+      symptoms={'proof'}).checked_by
 def lock(case: Case, device: DeviceReport) -> Found | None:
     values = case.values[device.id]
     lock = values.get('Lock')
@@ -70,7 +73,8 @@ def lock(case: Case, device: DeviceReport) -> Found | None:
 
 @Rule(seen='the new offset includes the old one, or was measured with it',
       remedy='write 0 to Homing Offset, calibrate once',
-      noted=(ev.CALIBRATED, ev.OFFSET_WRITTEN)).checked_by
+      noted=(ev.CALIBRATED, ev.OFFSET_WRITTEN),
+      symptoms={'proof'}).checked_by
 def calibrated_twice(case: Case, device: DeviceReport) -> Found | None:
     times = case.count(ev.CALIBRATED, device)
     if times >= TWICE:
@@ -97,7 +101,8 @@ def _signed(offset: int) -> int:
 
 @Rule(seen='one model with different firmware',
       remedy='update them',
-      subject='bus').checked_by
+      subject='bus',
+      symptoms={'proof'}).checked_by
 def mixed_firmware(case: Case) -> Claims:
     by_model: defaultdict[str, dict[int, str]] = defaultdict(dict)
     for device in case.report.devices:

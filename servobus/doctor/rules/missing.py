@@ -36,6 +36,7 @@ from servobus.doctor.rule import longer_than
 from servobus.doctor.rule import Rule
 from servobus.doctor.rule import share
 from servobus.doctor.states import RATES
+from servobus.doctor.symptom import SILENCE
 
 S, MS = 1_000_000_000, 1_000_000
 AWAY_MS = 100                      # shorter than any start; longer than an answer or two lost
@@ -60,8 +61,9 @@ _OF_THE_MASTER = ", and that the program uses the servos' baud rate, protocol an
 @Rule(seen='several devices restarted at once; WARN: all were silent together, and are back',
       remedy='check battery, cable gauge, peak load',
       subject='bus', level=Level.ERROR,
-      explains=('rebooted', 'dropout', 'missed_answers', 'voltage', 'jitter',
-                'torque_off')).checked_by
+      symptoms={'absence of several'},
+      accounts_for={'restart', 'absence', 'missed answers', 'voltage limit', 'uneven rhythm',
+                    'joint at rest'}).checked_by
 def brown_out(case: Case) -> Claims:
     absences = _absences(case)
     if not absences:
@@ -110,8 +112,9 @@ def _dip(case: Case, number: int) -> str:
       remedy='switch their power on, check the first cable; if the robot moves, connect the '
              'monitor to the data line',
       subject='bus', level=Level.ERROR, holds=False,
-      explains=('no_answer', 'sync_read_stops', 'broken_cable', 'ping_only', 'jitter',
-                'cycle_time')).checked_by
+      symptoms={'silent bus'},
+      accounts_for={'silent device', 'device not served', 'answers to Pings only',
+                    'uneven rhythm', 'slow cycle'}).checked_by
 def all_silent(case: Case) -> Claims:
     asked, heard = case.counted('instructions', GONE_S), case.counted('answers', GONE_S)
     missing = [device.id for device in case.report.devices
@@ -154,7 +157,8 @@ def _hurries(case: Case, least: int = FEW) -> bool:
 @Rule(seen='the last two or more of `devices`, listed in cable order, are gone',
       remedy='check the cable between the two named',
       level=Level.ERROR, holds=False,
-      explains=('no_answer', 'sync_read_stops', 'missed_answers', 'jitter')).checked_by
+      symptoms={'silent device', 'device not served'},
+      accounts_for=SILENCE).checked_by
 def broken_cable(case: Case) -> Claims:
     chain = [number for number in case.report.chain if number in case.devices]
     tail = 0
@@ -174,7 +178,8 @@ def _cut_off(case: Case, number: int) -> bool:
 @Rule(seen='the same, and devices after it in a Sync Read or Bulk Read are never read',
       remedy='repair this one first, or take it out of the list',
       level=Level.ERROR, holds=False,
-      explains=('no_answer', 'missed_answers', 'jitter')).checked_by
+      symptoms={'device not served'},
+      accounts_for={'silent device', 'missed answers', 'uneven rhythm'}).checked_by
 def sync_read_stops(case: Case) -> Claims:
     return _gone(case, True)
 
@@ -182,7 +187,9 @@ def sync_read_stops(case: Case) -> Claims:
 @Rule(seen='more answers missed in a row than `missed_limit`; WARN where it was only written '
            'to, and others acknowledge writes',
       remedy='check power, plug, ID, baud rate',
-      level=Level.ERROR, holds=False, explains=('missed_answers', 'jitter')).checked_by
+      level=Level.ERROR, holds=False,
+      symptoms={'silent device'},
+      accounts_for={'missed answers', 'uneven rhythm'}).checked_by
 def no_answer(case: Case) -> Claims:
     yield from _gone(case, False)
     yield from _at_the_end(case)
@@ -305,7 +312,8 @@ def _unacknowledged(case: Case) -> Claims:
 @Rule(seen='away, back, and restarted: torque off, Realtime Tick back, or it ignores its goal',
       remedy='check supply and plug; set it up again',
       level=Level.ERROR, noted=(ev.RETURNED,),
-      explains=('dropout', 'missed_answers', 'jitter', 'torque_off')).checked_by
+      symptoms={'restart'},
+      accounts_for={'absence', 'missed answers', 'uneven rhythm', 'joint at rest'}).checked_by
 def rebooted(case: Case, device: DeviceReport) -> Found | None:
     if device.window.spoilt * 2 > device.window.missed:
         return None
@@ -320,7 +328,9 @@ def rebooted(case: Case, device: DeviceReport) -> Found | None:
 
 @Rule(seen='silent for three questions or more, 0.1 s at least, and back; restart not proven',
       remedy='check its plugs',
-      noted=(ev.RETURNED,), explains=('missed_answers', 'jitter')).checked_by
+      noted=(ev.RETURNED,),
+      symptoms={'absence'},
+      accounts_for={'missed answers', 'uneven rhythm'}).checked_by
 def dropout(case: Case, device: DeviceReport) -> Found | None:
     totals = device.totals
     if device.window.spoilt * 2 > device.window.missed \
@@ -387,7 +397,8 @@ def _tick_jumped(before: Sample, after: Sample) -> bool:
 @Rule(seen='goals change, on both sides of the joint or away from it and back twice, or where '
            'nothing set the torque, and it does not move',
       remedy='switch the torque on; if it is on, the joint is blocked or its motor has no supply',
-      each=True).checked_by
+      each=True,
+      symptoms={'joint at rest'}).checked_by
 def torque_off(case: Case, device: DeviceReport) -> Found | None:
     samples = _since_it_moved(_recent_samples(case, device.id))
     place = case.values[device.id].get('Present Position')
@@ -469,8 +480,8 @@ def _is_ignored(samples: list[Sample], least: float) -> bool:
            'program ended on the first write or read to it',
       remedy='write 2 to Status Return Level, 1 for reads alone',
       each=True,
-      explains=('dropout', 'rebooted', 'no_answer', 'sync_read_stops', 'missed_answers',
-                'no_acks', 'jitter')).checked_by
+      symptoms={'answers to Pings only'},
+      accounts_for={*SILENCE, 'absence', 'restart', 'no acknowledgements'}).checked_by
 def ping_only(case: Case, device: DeviceReport) -> Found | None:
     return Claim('answers Pings only: set its Status Return Level to 2, or 1 for '
                  'reads; if it no longer answers a Ping, check its power and cable',
@@ -491,7 +502,8 @@ def _is_ping_only(case: Case, device: DeviceReport) -> bool:
 
 @Rule(seen='more than 1 % of its answers missing',
       remedy='check its plugs',
-      each=True).checked_by
+      each=True,
+      symptoms={'missed answers'}).checked_by
 def missed_answers(case: Case, device: DeviceReport) -> Found | None:
     window = device.window
     lost = window.missed - window.spoilt - sum(     # what came in the next one's time is there

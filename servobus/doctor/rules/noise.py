@@ -26,14 +26,15 @@ from servobus.doctor.facts import ran_into_answers
 from servobus.doctor.rule import about
 from servobus.doctor.rule import Claim
 from servobus.doctor.rule import Claims
-from servobus.doctor.rule import DAMAGE
 from servobus.doctor.rule import Doubt
 from servobus.doctor.rule import Found
 from servobus.doctor.rule import in_full
 from servobus.doctor.rule import listed
 from servobus.doctor.rule import Rule
 from servobus.doctor.rule import share
-from servobus.doctor.rule import SILENCE
+from servobus.doctor.symptom import DAMAGE
+from servobus.doctor.symptom import SILENCE
+from servobus.doctor.symptom import TRAFFIC
 
 TWICE, FEW, SOME = 2, 3, 5
 NOISY = GLITCHY = 0.001            # damaged of all packets; packets after a stray byte
@@ -53,13 +54,6 @@ ONSET_S = 1.0                      # by then it has shown whether something else
 RATES = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
 ENOUGH = 3                         # headers
 CERTAIN = 2                        # bytes of a header as it looks: fewer say nothing
-_OF_THE_WIRE = ('noise', 'damaged_answers', 'turnaround', 'stray_bytes', 'missed_answers',
-                'duplicate_id', 'foreign_answers', 'dropout')
-_ALL_ELSE = (*_OF_THE_WIRE, 'factory_id', 'no_answer', 'sync_read_stops', 'broken_cable',
-             'all_silent', 'echo', 'rebooted', 'brown_out', 'jitter', 'protocol_1', 'overrun',
-             'impatient_master', 'late_answers', 'latency_timer', 'two_masters', 'bus_too_slow',
-             'never_written', 'unread_answers', 'ping_only', 'no_acks', 'return_delay',
-             'fast_read_unsupported')
 # What is said of a bus without a packet where the bytes are too few for the rule.
 NO_PACKETS = ('bytes, but no packet: set {bauds} to the rate of the bus, and check that it is a '
               'servo bus and that D+ and D- are not swapped')
@@ -70,7 +64,9 @@ NO_PACKETS = ('bytes, but no packet: set {bauds} to the rate of the bus, and che
 @Rule(seen='hardly a packet among the bytes, or more bytes than the rate allows; or none comes '
            'back to a program, and other bytes do',
       remedy='set `bauds`, or the rate of the program',
-      subject='bus', level=Level.ERROR, explains=_ALL_ELSE).checked_by
+      subject='bus', level=Level.ERROR,
+      symptoms={'no packets'},
+      accounts_for=TRAFFIC).checked_by
 def wrong_baud(case: Case) -> Claims:
     report = case.report
     got, good, errors = (case.counted(name, 2.0) for name in ('bytes', 'packet_bytes', 'framing'))
@@ -131,7 +127,10 @@ def _look(ratio: float) -> bytes:
 
 @Rule(seen="the monitor's serial driver lost bytes",
       remedy="raise the monitor's priority, use a better adapter",
-      subject='bus', explains=(*_OF_THE_WIRE, 'jitter')).checked_by
+      subject='bus',
+      symptoms={'lost bytes'},
+      accounts_for={*DAMAGE, 'damaged first bytes', 'second answers',
+                    'unasked answers'}).checked_by
 def overrun(case: Case) -> Claims:
     lost = case.counted('overruns')
     if lost > 0:
@@ -142,7 +141,9 @@ def overrun(case: Case) -> Claims:
 
 @Rule(seen='silent since the master changed its Baud Rate',
       remedy='change it back, or change all the others',
-      holds=False, each=True, explains=(*SILENCE, 'cycle_time', 'torque_off')).checked_by
+      holds=False, each=True,
+      symptoms={'changed rate'},
+      accounts_for={*SILENCE, 'slow cycle', 'joint at rest'}).checked_by
 def baud_moved(case: Case, device: DeviceReport) -> Found | None:
     code = _written(case, device, 'Baud Rate')
     to = device.moved_to or (f'code {code}' if code >= 0 else '')
@@ -155,7 +156,9 @@ def baud_moved(case: Case, device: DeviceReport) -> Found | None:
 
 @Rule(seen='asked by its old ID since the master changed it',
       remedy='use the new ID in the program',
-      holds=False, each=True, explains=(*SILENCE, 'all_silent', 'cycle_time')).checked_by
+      holds=False, each=True,
+      symptoms={'proof'},
+      accounts_for={*SILENCE, 'silent bus', 'slow cycle'}).checked_by
 def id_moved(case: Case, device: DeviceReport) -> Found | None:
     number = _written(case, device, 'ID')
     to = device.moved_to if device.state == words.MOVED else f'{words.NEW_ID}{number:03}'
@@ -177,7 +180,9 @@ def _written(case: Case, device: DeviceReport, name: str) -> int:
 
 @Rule(seen='devices of Protocol 2.0 and of the 1.0 family on one bus',
       remedy='set all to one protocol, or use two buses',
-      subject='bus', explains=('stray_bytes', 'wrong_baud')).checked_by
+      subject='bus',
+      symptoms={'two protocols'},
+      accounts_for={'stray bytes', 'no packets'}).checked_by
 def protocol_1(case: Case) -> Claims:
     if case.count(ev.PROTOCOL_1) <= 1:
         return
@@ -203,8 +208,10 @@ def protocol_1(case: Case) -> Claims:
 @Rule(seen='instructions come back to their master, or are heard twice',
       remedy="switch the adapter's echo off",
       subject='bus',
-      explains=(*_ALL_ELSE, 'wrong_length', 'wrong_address', 'goal_limits', 'refused',
-                'hardware_error', 'torque_off', 'voltage', 'not_sent')).checked_by
+      symptoms={'echo'},
+      accounts_for={*TRAFFIC, 'two protocols', 'refused access', 'refused address',
+                    'refused value', 'error bits', 'voltage limit', 'joint at rest',
+                    'unsent instructions'}).checked_by
 def echo(case: Case) -> Claims:
     if case.report.has_sides:          # what it says twice it says itself
         least, heard_back, asked = SOME, case.counted('echoes'), case.counted('instructions')
@@ -229,7 +236,8 @@ def echo(case: Case) -> Claims:
            'this ID',
       remedy='unplug one of the two, change its ID',
       level=Level.ERROR, each=True,
-      explains=(*DAMAGE, 'turnaround', 'late_answers', 'rebooted')).checked_by
+      symptoms={'second answers'},
+      accounts_for={*DAMAGE, 'damaged first bytes', 'late answers', 'restart'}).checked_by
 def duplicate_id(case: Case, device: DeviceReport) -> Found | None:
     twice = case.count(ev.SECOND_ANSWER, device)
     if not twice and _alone_answers_again(case, device):
@@ -282,8 +290,9 @@ def _alone_answers_again(case: Case, device: DeviceReport) -> bool:
 @Rule(seen='answers that this master did not ask for',
       remedy='look for another master on a segment that is not monitored',
       noted=(ev.UNASKED,),
-      explains=('duplicate_id', 'missed_answers', 'noise', 'damaged_answers', 'stray_bytes',
-                'turnaround')).checked_by
+      symptoms={'unasked answers'},
+      accounts_for={'second answers', 'missed answers', 'damaged packets', 'damaged answers',
+                    'stray bytes', 'damaged first bytes'}).checked_by
 def foreign_answers(case: Case, device: DeviceReport) -> Found | None:
     unasked = case.count(ev.UNASKED, device)
     if unasked < FEW or case.count(ev.PROTOCOL_1, device) \
@@ -299,8 +308,9 @@ def foreign_answers(case: Case, device: DeviceReport) -> Found | None:
 @Rule(seen='wrong first byte, right CRC',
       remedy='raise Return Delay Time by 2 to 4 us',
       subject='device or bus',
-      explains=('turnaround', 'stray_bytes', 'damaged_answers', 'missed_answers',
-                'dropout')).checked_by
+      symptoms={'damaged first bytes'},
+      accounts_for={'damaged first bytes', 'stray bytes', 'damaged answers', 'missed answers',
+                    'absence'}).checked_by
 def turnaround(case: Case) -> Claims:
     touched = [device for device in case.report.devices if _first_bytes(device)]
     hit = [device for device in touched if _first_bytes(device) > FEW
@@ -343,8 +353,9 @@ def _spoken(device: DeviceReport) -> int:
 @Rule(seen='damaged packets of several devices',
       remedy='check termination, ground, shield, motor cables',
       subject='bus',
-      explains=('damaged_answers', 'missed_answers', 'dropout', 'stray_bytes',
-                'jitter')).checked_by
+      symptoms={'damaged packets'},
+      accounts_for={'damaged answers', 'missed answers', 'absence', 'stray bytes',
+                    'uneven rhythm'}).checked_by
 def noise(case: Case) -> Claims:
     """Say where frames are damaged too rarely for a claim, or were not heard at all."""
     yield from _noise_claims(case)
@@ -400,7 +411,9 @@ def _most_hit(case: Case) -> DeviceReport | None:
 
 @Rule(seen='only its answers are damaged, or bytes that are no packet come in their place',
       remedy='unplug it and ping its ID: what still answers is a duplicate; else check its cable',
-      onset_s=ONSET_S, explains=('missed_answers', 'dropout', 'stray_bytes', 'jitter')).checked_by
+      onset_s=ONSET_S,
+      symptoms={'damaged answers'},
+      accounts_for={'missed answers', 'absence', 'stray bytes', 'uneven rhythm'}).checked_by
 def damaged_answers(case: Case) -> Claims:
     worst = _most_hit(case)
     last = case.last_wait
@@ -430,7 +443,9 @@ def damaged_answers(case: Case) -> Claims:
 
 @Rule(seen='the adapter did not send what was written',
       remedy='switch flow control off; do not flush output after a write',
-      subject='bus', explains=('all_silent', 'no_acks', 'torque_off')).checked_by
+      subject='bus',
+      symptoms={'unsent instructions'},
+      accounts_for={'silent bus', 'no acknowledgements', 'joint at rest'}).checked_by
 def not_sent(case: Case) -> Claims:
     """Count instructions that were given back or thrown away: only a source with sides knows."""
     count = case.count(ev.NOT_SENT)
@@ -444,7 +459,8 @@ def not_sent(case: Case) -> Claims:
 
 @Rule(seen='harmless bytes before packets; WARN where a program ended on one',
       remedy='add bias resistors',
-      subject='bus', level=Level.OK).checked_by
+      subject='bus', level=Level.OK,
+      symptoms={'stray bytes'}).checked_by
 def stray_bytes(case: Case) -> Claims:
     stray = case.counted('glitches')
     packets = case.packets

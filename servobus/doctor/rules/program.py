@@ -27,12 +27,12 @@ from servobus.doctor.facts import ended_on
 from servobus.doctor.rule import ANSWER
 from servobus.doctor.rule import Claim
 from servobus.doctor.rule import Claims
-from servobus.doctor.rule import DAMAGE
 from servobus.doctor.rule import Doubt
 from servobus.doctor.rule import Found
 from servobus.doctor.rule import listed
 from servobus.doctor.rule import Rule
-from servobus.doctor.rule import SILENCE
+from servobus.doctor.symptom import DAMAGE
+from servobus.doctor.symptom import SILENCE
 from servobus.model.control_table import UNKNOWN
 
 S = 1_000_000_000
@@ -74,9 +74,10 @@ _PRO = {562: 'Torque Enable', 596: 'Goal Position', 600: 'Goal Velocity', 604: '
            ' only Python with pyserial is known so well',
       remedy='read whole answers, and clear the input before each question',
       subject='bus',
-      explains=(*SILENCE, *DAMAGE, 'impatient_master', 'late_answers', 'brown_out', 'turnaround',
-                'all_silent', 'foreign_answers', 'no_acks', 'wrong_length', 'rebooted',
-                'cycle_time')).checked_by
+      symptoms={'unread bytes'},
+      accounts_for={*SILENCE, *DAMAGE, 'hasty instructions', 'late answers',
+                    'absence of several', 'damaged first bytes', 'silent bus', 'unasked answers',
+                    'no acknowledgements', 'wrong length', 'restart', 'slow cycle'}).checked_by
 def unread_answers(case: Case) -> Claims:
     """Look for a program that asks while bytes of earlier answers wait; only a tap knows that."""
     if not case.count(ev.STALE):
@@ -96,7 +97,8 @@ def unread_answers(case: Case) -> Claims:
            'packet; needs a source that knows who sent what',
       remedy='correct the program',
       subject='bus', level=Level.ERROR,
-      explains=(*SILENCE, *DAMAGE, 'wrong_baud', 'all_silent', 'cycle_time')).checked_by
+      symptoms={'proof'},
+      accounts_for={*SILENCE, *DAMAGE, 'no packets', 'silent bus', 'slow cycle'}).checked_by
 def wrong_packets(case: Case) -> Claims:
     """Look at what a program sends, where that is heard as it wrote it."""
     report, wrong = case.report, case.incidents(ev.WRONG_PACKET)
@@ -118,7 +120,8 @@ def wrong_packets(case: Case) -> Claims:
 
 @Rule(seen='asks ID 255, or 253 in Protocol 2.0; reads from 254',
       remedy='correct the ID; use Sync Read',
-      subject='bus').checked_by
+      subject='bus',
+      symptoms={'proof'}).checked_by
 def impossible_id(case: Case) -> Claims:
     for cycle in case.report.cycles:
         number = next(iter(cycle.ids), None)
@@ -135,7 +138,8 @@ def impossible_id(case: Case) -> Claims:
 
 @Rule(seen='`FF FF FD` in the data without the extra `FD`',
       remedy='use another library',
-      subject='bus').checked_by
+      subject='bus',
+      symptoms={'proof'}).checked_by
 def unstuffed(case: Case) -> Claims:
     notes = case.incidents(ev.UNSTUFFED)
     if notes:
@@ -150,7 +154,9 @@ def unstuffed(case: Case) -> Claims:
 
 @Rule(seen='a write to EEPROM refused',
       remedy='write Torque Enable 0 first',
-      noted=(ev.REFUSED,), explains=('refused',)).checked_by
+      noted=(ev.REFUSED,),
+      symptoms={'proof'},
+      accounts_for={'refused access'}).checked_by
 def eeprom_locked(case: Case, device: DeviceReport) -> Found | None:
     torque = case.values[device.id].get('Torque Enable')
     least = _enough(case, device, FEW) if torque is None else 1    # it is on: that explains one
@@ -173,7 +179,8 @@ def _is_locked(device: DeviceReport, address: int, error: int) -> bool:
 
 @Rule(seen='one address refused three times',
       remedy='use the control table of this model',
-      noted=(ev.REFUSED,), needs_model=True).checked_by
+      noted=(ev.REFUSED,), needs_model=True,
+      symptoms={'refused address'}).checked_by
 def wrong_address(case: Case, device: DeviceReport) -> Found | None:
     found = Counter(one.detail[1:] for one in case.incidents(ev.REFUSED, device)
                     if one.detail.error in (ACCESS, LENGTH, RANGE)
@@ -201,7 +208,9 @@ def _what_is_there(device: DeviceReport, address: int, error: int) -> str:
            'ended on it; goals that Position Control Mode refuses, or that a Feetech servo '
            'holds back',
       remedy='limit the goals, or set wider limits',
-      each=True, explains=('refused', 'torque_off')).checked_by
+      each=True,
+      symptoms={'refused value'},
+      accounts_for={'refused access', 'joint at rest'}).checked_by
 def goal_limits(case: Case, device: DeviceReport) -> Found | None:
     """Look for Data Limit errors, in Dynamixel 1.0 angle limit errors."""
     found = Counter(one.detail.address for one in case.incidents(ev.REFUSED, device)
@@ -256,7 +265,8 @@ def _goals_held_back(case: Case, device: DeviceReport) -> Found | None:
 
 @Rule(seen='the same, model unknown',
       remedy='set its model in `devices`',
-      noted=(ev.REFUSED,)).checked_by
+      noted=(ev.REFUSED,),
+      symptoms={'refused access'}).checked_by
 def refused(case: Case, device: DeviceReport) -> Found | None:
     """Say what is refused where the model is not known, which would tell more."""
     if device.model.number is not None:
@@ -285,7 +295,8 @@ def _enough(case: Case, device: DeviceReport, few: int) -> int:
 @Rule(seen='no more instructions after 2.5 s of them or more, an advice below 10 s; device '
            'states date from then',
       remedy='check the program and its cable',
-      subject='bus', holds=False).checked_by
+      subject='bus', holds=False,
+      symptoms={'proof'}).checked_by
 def master_stopped(case: Case) -> Claims:
     report = case.report
     if case.quiet_s < STOPPED_S or (report.last_byte_s or 0.0) < STOPPED_S \
@@ -303,7 +314,9 @@ def master_stopped(case: Case) -> Claims:
 @Rule(seen='many IDs pinged; WARN if broadcast Pings collide',
       remedy='wait 0.8 s after a broadcast Ping',
       subject='bus', level=Level.OK, holds=False,
-      explains=('noise', 'damaged_answers', 'stray_bytes', 'turnaround', 'jitter')).checked_by
+      symptoms={'proof'},
+      accounts_for={'damaged packets', 'damaged answers', 'stray bytes', 'damaged first bytes',
+                    'uneven rhythm'}).checked_by
 def scan(case: Case) -> Claims:
     stamps = [stamp for cycle in case.report.cycles for stamp in cycle.stamps
               if stamp > case.now - PINGS_NS
@@ -325,7 +338,8 @@ def scan(case: Case) -> Claims:
 
 @Rule(seen='devices of unknown models, as `cannot tell.models`',
       remedy='set `devices`, or send Ping',
-      subject='bus', level=Level.OK).checked_by
+      subject='bus', level=Level.OK,
+      symptoms={'proof'}).checked_by
 def models(case: Case) -> Claims:
     found: dict[str, list[int]] = {}
     for device in case.report.devices:
@@ -362,7 +376,9 @@ def _remedy(device: DeviceReport, names: Names) -> str:
 
 @Rule(seen='thirty EEPROM writes in ten seconds',
       remedy='write only what changes',
-      each=True, explains=('torque_off',)).checked_by
+      each=True,
+      symptoms={'proof'},
+      accounts_for={'joint at rest'}).checked_by
 def eeprom_wear(case: Case, device: DeviceReport) -> Found | None:
     count = device.window.eeprom_writes
     if count < WORN:
@@ -376,7 +392,8 @@ def eeprom_wear(case: Case, device: DeviceReport) -> Found | None:
 @Rule(seen='no answers to writes: Status Return Level 1; WARN where the program ended on that',
       remedy='nothing, if the master knows; else level 2',
       level=Level.OK, onset_s=ONSET_S, holds=False, each=True,
-      explains=('missed_answers', 'no_answer')).checked_by
+      symptoms={'no acknowledgements'},
+      accounts_for={'missed answers', 'silent device'}).checked_by
 def no_acks(case: Case, device: DeviceReport) -> Found | None:
     last = ended_on(case)
     has_ended = last is not None and last.device == device.id and last.instruction in WRITES \
@@ -399,7 +416,8 @@ def no_acks(case: Case, device: DeviceReport) -> Found | None:
 
 @Rule(seen='only read, while others are written',
       remedy='check whether the program forgot it',
-      level=Level.OK, each=True).checked_by
+      level=Level.OK, each=True,
+      symptoms={'no writes'}).checked_by
 def never_written(case: Case, device: DeviceReport) -> Found | None:
     if device.totals.writes or device.totals.reads < POLLED \
             or 'Goal Position' not in device.model.by_name \
@@ -418,8 +436,9 @@ def never_written(case: Case, device: DeviceReport) -> Found | None:
 
 @Rule(seen='no part in fast reads',
       remedy='update its firmware, or use Sync Read',
-      explains=(*SILENCE, 'all_silent', 'noise', 'damaged_answers', 'wrong_address',
-                'dropout')).checked_by
+      symptoms={'unanswered group reads'},
+      accounts_for={*SILENCE, 'silent bus', 'damaged packets', 'damaged answers',
+                    'refused address', 'absence'}).checked_by
 def fast_read_unsupported(case: Case) -> Claims:
     """Look at the first device of each fast read that never gave its part of one."""
     known = set()
@@ -462,7 +481,9 @@ def _lacks_fast_reads(device: DeviceReport) -> bool:
 
 @Rule(seen='nothing answers Sync Reads, other instructions are answered (1.0, Feetech SCS)',
       remedy='read one after the other',
-      subject='bus', explains=('jitter', 'missed_answers', 'sync_read_stops')).checked_by
+      subject='bus',
+      symptoms={'unanswered group reads'},
+      accounts_for={'uneven rhythm', 'missed answers', 'device not served'}).checked_by
 def sync_read_unsupported(case: Case) -> Claims:
     """Look for Sync Reads that nothing answers, where other instructions are answered."""
     is_feetech = case.report.protocol == FEETECH.name

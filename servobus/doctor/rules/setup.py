@@ -18,14 +18,14 @@ from servobus.doctor.facts import limit_of
 from servobus.doctor.facts import SUPPLY
 from servobus.doctor.rule import Claim
 from servobus.doctor.rule import Claims
-from servobus.doctor.rule import DAMAGE
 from servobus.doctor.rule import Doubt
 from servobus.doctor.rule import FAMILY_1
 from servobus.doctor.rule import Found
 from servobus.doctor.rule import in_full
 from servobus.doctor.rule import listed
 from servobus.doctor.rule import Rule
-from servobus.doctor.rule import SILENCE
+from servobus.doctor.symptom import DAMAGE
+from servobus.doctor.symptom import SILENCE
 from servobus.model.control_table import Model
 
 S = 1_000_000_000
@@ -49,8 +49,9 @@ _ELSEWHERE = {30: 'Goal Position of AX and MX', 36: 'Present Position of AX and 
 @Rule(seen='several new servos have ID 1',
       remedy='connect them one at a time, give each its own ID',
       level=Level.ERROR,
-      explains=(*SILENCE, *DAMAGE, 'duplicate_id', 'all_silent', 'turnaround', 'foreign_answers',
-                'wrong_length', 'late_answers', 'cycle_time')).checked_by
+      symptoms={'second answers', 'silent device'},
+      accounts_for={*SILENCE, *DAMAGE, 'second answers', 'silent bus', 'damaged first bytes',
+                    'unasked answers', 'wrong length', 'late answers', 'slow cycle'}).checked_by
 def factory_id(case: Case) -> Claims:
     first = case.devices.get(FACTORY_ID)
     absent = [device.id for device in case.report.devices if device is not first
@@ -76,7 +77,8 @@ def _clashes(case: Case, device: DeviceReport) -> bool:
 @Rule(seen='a 7.4 V servo on 12 V; WARN: a 12 V servo on 7.4 V (1.0 family)',
       remedy='compare its label with the supply',
       level=Level.ERROR, onset_s=ONSET_S,
-      explains=('voltage', 'hardware_error', 'torque_off')).checked_by
+      symptoms={'proof'},
+      accounts_for={'voltage limit', 'error bits', 'joint at rest'}).checked_by
 def wrong_supply(case: Case) -> Claims:
     high, low, unknown = [], [], []
     for device in case.report.devices:
@@ -118,7 +120,8 @@ def _supply_claims(found: list[tuple[DeviceReport, float, float]], words: str,
 
 @Rule(seen='reads or writes that cut a register (1.0 family)',
       remedy='use the table of its model',
-      each=True, protocols=FAMILY_1, needs_model=True).checked_by
+      each=True, protocols=FAMILY_1, needs_model=True,
+      symptoms={'proof'}).checked_by
 def layout(case: Case, device: DeviceReport) -> Found | None:
     order = case.values[device.id].get('Byte Order')
     place = device.model.by_name.get('Present Position')

@@ -40,13 +40,13 @@ from servobus.doctor.rhythm import Rhythm
 from servobus.doctor.rhythm import WRITES
 from servobus.doctor.rule import Claim
 from servobus.doctor.rule import Claims
-from servobus.doctor.rule import DAMAGE
 from servobus.doctor.rule import Doubt
 from servobus.doctor.rule import Found
 from servobus.doctor.rule import in_full
 from servobus.doctor.rule import listed
 from servobus.doctor.rule import Rule
-from servobus.doctor.rule import SILENCE
+from servobus.doctor.symptom import DAMAGE
+from servobus.doctor.symptom import SILENCE
 
 S = 1_000_000_000
 MS = 1_000_000
@@ -88,8 +88,9 @@ SLOW_MS = 0.4                      # reply latency: Return Delay Time from the f
            'has asked',
       remedy='find the second program; give threads one lock',
       subject='bus', level=Level.ERROR, onset_s=1.0,
-      explains=(*DAMAGE, 'impatient_master', 'late_answers', 'duplicate_id', 'foreign_answers',
-                'turnaround', 'brown_out')).checked_by
+      symptoms={'two rhythms'},
+      accounts_for={*DAMAGE, 'hasty instructions', 'late answers', 'second answers',
+                    'unasked answers', 'damaged first bytes', 'absence of several'}).checked_by
 def two_masters(case: Case) -> Claims:
     foreign = case.count(ev.FOREIGN)
     if foreign >= FOREIGN_ENOUGH:
@@ -157,8 +158,9 @@ def _words(cycle: Cycle, period: float) -> str:
 @Rule(seen='the master does not wait for the whole answer, or throws answers away unread',
       remedy='raise its time-out; let it read them',
       subject='bus',
-      explains=(*SILENCE, *DAMAGE, 'late_answers', 'duplicate_id', 'factory_id', 'all_silent',
-                'no_acks')).checked_by
+      symptoms={'hasty instructions'},
+      accounts_for={*SILENCE, *DAMAGE, 'late answers', 'second answers', 'silent bus',
+                    'no acknowledgements'}).checked_by
 def impatient_master(case: Case) -> Claims:
     spoilt = [wait.stamp for wait in case.report.waits if wait.is_spoilt]      # asked once more
     again = Counter(code for stamp, code in case.repeats.items()
@@ -259,7 +261,9 @@ def _hidden_repeats(case: Case) -> list[Incident[ev.Code]]:
 
 @Rule(seen='the answer comes after the master gave up',
       remedy='lower Return Delay Time, or raise the time-out',
-      explains=(*DAMAGE, 'duplicate_id', 'foreign_answers', 'turnaround', 'cycle_time')).checked_by
+      symptoms={'late answers'},
+      accounts_for={*DAMAGE, 'unasked answers', 'damaged first bytes',
+                    'slow cycle'}).checked_by
 def late_answers(case: Case) -> Claims:
     late, fatal = case.incidents(ev.LATE), read_late(case)
     first: Counter[int] = Counter()
@@ -295,7 +299,8 @@ def _is_cut_short(case: Case) -> bool:
 
 @Rule(seen='answers of the wrong length',
       remedy='update its firmware; look for a second device with this ID',
-      noted=(ev.WRONG_SIZE,)).checked_by
+      noted=(ev.WRONG_SIZE,),
+      symptoms={'wrong length'}).checked_by
 def wrong_length(case: Case, device: DeviceReport) -> Found | None:
     wrong = case.incidents(ev.WRONG_SIZE, device)
     if len(wrong) < FEW or 4 * case.count(ev.LATE, device) > len(wrong):
@@ -310,7 +315,9 @@ def wrong_length(case: Case, device: DeviceReport) -> Found | None:
 
 @Rule(seen='instructions come 16 ms after the last answer',
       remedy="set the latency timer of the master's adapter to 1 ms",
-      subject='bus', explains=('jitter', 'cycle_time')).checked_by
+      subject='bus',
+      symptoms={'slow answers'},
+      accounts_for={'uneven rhythm', 'slow cycle'}).checked_by
 def latency_timer(case: Case) -> Claims:
     answers = [answer_ns(cycle, case.report.baud) for cycle in case.report.cycles]
     answered = sum(len(cycle.stamps) - bisect_right(cycle.stamps, case.now - S)
@@ -353,7 +360,8 @@ def latency_timer(case: Case) -> Claims:
 @Rule(seen='busy for 75 % of the time, and damage or answers missed now and then',
       remedy='raise the baud rate, read less',
       subject='bus',
-      explains=('jitter', 'two_masters', 'impatient_master', 'cycle_time')).checked_by
+      symptoms={'busy line'},
+      accounts_for={'uneven rhythm', 'two rhythms', 'hasty instructions', 'slow cycle'}).checked_by
 def bus_too_slow(case: Case) -> Claims:
     seconds = (case.now - case.mark(LOAD_S).stamp) / S
     got = case.counted('bytes', LOAD_S)
@@ -373,7 +381,9 @@ def bus_too_slow(case: Case) -> Claims:
 
 @Rule(seen='Return Delay Time is 0.4 ms or more',
       remedy='write 0',
-      level=Level.OK, explains=('cycle_time',)).checked_by
+      level=Level.OK,
+      symptoms={'slow answers'},
+      accounts_for={'slow cycle'}).checked_by
 def return_delay(case: Case) -> Claims:
     for device in case.report.devices:
         register = case.values[device.id].get('Return Delay Time')
@@ -407,7 +417,9 @@ def _delay_claim(case: Case, device: DeviceReport, delay_ms: float | None,
 
 @Rule(seen='a regular loop lost its rhythm',
       remedy='real-time priority; take slow work out of the loop',
-      subject='bus', onset_s=JITTER_ONSET_S, explains=('cycle_time',)).checked_by
+      subject='bus', onset_s=JITTER_ONSET_S,
+      symptoms={'uneven rhythm'},
+      accounts_for={'slow cycle'}).checked_by
 def jitter(case: Case) -> Claims:
     rhythms = case.rhythms
     if not rhythms or case.waits(WAITED_S):
@@ -432,7 +444,8 @@ def jitter(case: Case) -> Claims:
            'answers that wait for it to read, waiting for one device, or exchanges that could '
            'be faster; needs a source that knows who sent what',
       remedy='what the finding says',
-      subject='bus or device', level=Level.OK, onset_s=1.0).checked_by
+      subject='bus or device', level=Level.OK, onset_s=1.0,
+      symptoms={'slow cycle'}).checked_by
 def cycle_time(case: Case) -> Claims:
     """Name what takes most of each cycle; not the pause of a program that sleeps."""
     times = case.report.cycle
