@@ -13,6 +13,7 @@ from collections.abc import Iterator
 
 from msg_defs.reports import Level
 from msg_defs.reports import worst
+from msg_defs.units import NS_PER_S
 from servobus.bus.decoder import DEFAULTS
 from servobus.bus.decoder import Settings
 from servobus.bus.report import BusReport
@@ -37,10 +38,11 @@ from servobus.doctor.standing import Standing
 from servobus.doctor.states import judged
 from servobus.internal_fault import survive
 
-S = 1_000_000_000
-HUSH_S = 0.5                       # no byte for so long: there is nothing to judge
-WEAK_S = 1.5                       # what one answer says, where many are damaged
-HOLD_NS = 3 * S                    # a claim lasts so much longer than its evidence
+IDLE_S = 0.5                       # no byte for so long: there is nothing to judge
+WEAK_ONSET_S = 1.5                 # for what one answer says, where many are damaged
+HOLD_NS = 3 * NS_PER_S             # a claim lasts so much longer than its evidence
+
+
 # The rules that work on a bus on which nothing happens any more.
 _AT_REST = (missing.sync_read_stops, missing.no_answer, program.master_stopped)
 _Key = tuple[str, int | None]
@@ -60,7 +62,7 @@ class Doctor:
         """Return the report with states, findings, levels and messages."""
         report = judged(report, self._settings, self._names)
         case = self._history.take(report)
-        if case.quiet_s and (report.last_byte_s or 0.0) > HUSH_S:
+        if case.quiet_s and (report.last_byte_s or 0.0) > IDLE_S:
             findings = self._last_told(case)
             return _with(case, findings, self._doubts or tuple(
                 Finding('noise', Level.OK, found.device, found.reason)
@@ -72,8 +74,9 @@ class Doctor:
                 if isinstance(found, Claim):
                     key = rule.name, found.device
                     since[key] = self._since.get(key, case.now)
-                    onset_s = WEAK_S if case.is_weak and rule in devices.RULES else rule.onset_s
-                    if found.is_certain or case.now - since[key] >= onset_s * S:
+                    onset_s = WEAK_ONSET_S if rule in devices.RULES and case.is_weak \
+                        else rule.onset_s
+                    if found.is_certain or case.now - since[key] >= onset_s * NS_PER_S:
                         self._standing[key] = claimed(case, rule, found,
                                                       self._standing.get(key))
                 else:
@@ -87,10 +90,10 @@ class Doctor:
         named = {(finding.rule, finding.device) for finding in findings}
         causes = [rules.BY_NAME[finding.rule] for finding in findings
                   if finding.device is None and finding.level is not Level.OK]
-        self._doubts = tuple(
+        self._doubts = tuple([
             one for one in doubts if (one.rule, one.device) not in named
             and not any(rules.BY_NAME[one.rule].symptoms <= cause.accounts_for
-                        for cause in causes))
+                        for cause in causes)])
         return _with(case, findings, self._doubts)
 
     def _last_told(self, case: Case) -> tuple[Finding, ...]:

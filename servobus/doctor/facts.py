@@ -15,30 +15,34 @@ from operator import sub
 from typing import NamedTuple
 
 from msg_defs.dxl_instruction import Instruction
+from msg_defs.units import NS_PER_S
 from servobus.bus import evidence as ev
 from servobus.bus import report as words
+from servobus.bus.report import BusReport
 from servobus.bus.report import Cycle
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import Incident
 from servobus.bus.report import PROTOCOL_2
 from servobus.bus.report import Wait
 from servobus.bus.table import Observed
-from servobus.doctor.bits import FLIPPED
-from servobus.doctor.bits import GROUPS
+from servobus.doctor.bits import GROUP_READS
 from servobus.doctor.bits import laid_over
+from servobus.doctor.bits import NOISE_MAX_BITS
 from servobus.doctor.bits import packet_of
-from servobus.doctor.bits import SPEAKERS
+from servobus.doctor.bits import TWO_SENDERS
 from servobus.doctor.bits import wrong_bits
 from servobus.doctor.case import Case
+from servobus.doctor.thresholds import INCIDENTS_MIN
+from servobus.doctor.thresholds import PROGRAM_RATES_MAX
 
-S = 1_000_000_000
-FEW = 3
-MOSTLY = 0.3                       # among damaged instructions; bits turned over by chance: 0.1
-TAIL = 6                           # bytes: the CRC is among them, so they are not there by chance
-ALIVE_VOLTS = 1.0                  # a device with less does not answer: the register is not it
-WATCHED_NS = 500_000_000
+LOST_BITS_MIN_SHARE = 0.3          # share of damaged instructions; bits turned over by chance: 0.1
+TAIL_BYTES = 6                     # the CRC is among them, so they are not there by chance
+ALIVE_MIN_VOLTS = 1.0              # a device with less does not answer: the register is not it
+WATCHED_EVERY_NS = NS_PER_S // 2   # rarer reads are of a program that waits for a motion's end
 SUPPLY = 'Present Input Voltage', 'Min Voltage Limit', 'Max Voltage Limit'
-_WRITES = (Instruction.WRITE, Instruction.REG_WRITE)
+SINGLE_WRITES = (Instruction.WRITE, Instruction.REG_WRITE)
+# Error numbers of a status (e-Manual, Protocol 2.0).
+INSTRUCTION_ERROR, RANGE_ERROR, LENGTH_ERROR, LIMIT_ERROR, ACCESS_ERROR = 2, 4, 5, 6, 7
 
 
 # --- registers -----------------------------------------------------------------------------------
@@ -71,6 +75,11 @@ FACTORY = {
 }
 
 
+def is_rate_search(report: BusReport) -> bool:
+    """Tell whether a program tries one baud rate after the other, so that most answers fail."""
+    return len(report.tried) > PROGRAM_RATES_MAX
+
+
 def last_read(case: Case, device: DeviceReport, name: str, within_s: float = inf) -> float | None:
     """Return the value of a register, as it was read last."""
     seen = case.values[device.id].get(name)
@@ -92,9 +101,9 @@ def limit_of(case: Case, device: DeviceReport, name: str,
 
 def is_watched(case: Case, device: DeviceReport, place: Observed) -> bool:
     """Tell whether a register is read all the time, rather than where a motion ends."""
-    return any(device.id in one.ids and one.address is not None and len(one.stamps) > FEW
+    return any(device.id in one.ids and one.address is not None and len(one.stamps) > INCIDENTS_MIN
                and one.address <= place.field.at < one.address + one.length
-               and max(map(sub, one.stamps[1:], one.stamps)) < WATCHED_NS
+               and max(map(sub, one.stamps[1:], one.stamps)) < WATCHED_EVERY_NS
                for one in case.report.cycles)
 
 
@@ -120,7 +129,7 @@ def ended_on(case: Case) -> Wait | None:
         return None                    # a search
     alike = [one.stamp for one in case.report.waits
              if (one.instruction == Instruction.PING) == is_ping]
-    return None if len(alike) > 1 and alike[0] < case.now - answered * S else last
+    return None if len(alike) > 1 and alike[0] < case.now - answered * NS_PER_S else last
 
 
 def read_late(case: Case) -> Incident[ev.Lateness] | None:
@@ -144,7 +153,7 @@ def may_overlap(case: Case) -> bool:
         return True
     # Where the sides are known, it would have been seen that somebody did not wait.
     return not case.report.has_sides \
-        and case.looks_like().get('looks like', '').startswith(SPEAKERS)
+        and case.looks_like().get('looks like', '').startswith(TWO_SENDERS)
 
 
 @lru_cache(maxsize=1)              # several rules ask it of one case
@@ -156,16 +165,16 @@ def is_collision(case: Case) -> bool:
     the noise with bits lost and none added; or damaged instructions of Protocol 2.0 are.
     """
     if laid_over_answers(case) or (
-            case.clocks and case.damage >= FEW and ran_into_answers(case)):
+            case.clocks and case.damage >= INCIDENTS_MIN and ran_into_answers(case)):
         return True
     if case.report.protocol != PROTOCOL_2:
         return False
     damaged = case.incidents(ev.DAMAGED_INSTRUCTION)
-    if len(damaged) < FEW:
+    if len(damaged) < INCIDENTS_MIN:
         return False
     used = {front for cycle in case.report.cycles if (front := _front_of(cycle)) is not None}
     mixed = sum(_has_lost_bits(one.detail, used) for one in damaged)
-    return mixed >= FEW and mixed >= MOSTLY * len(damaged)
+    return mixed >= INCIDENTS_MIN and mixed >= LOST_BITS_MIN_SHARE * len(damaged)
 
 
 def _has_lost_bits(front: ev.Front, used: set[ev.Front]) -> bool:
@@ -182,9 +191,9 @@ def _front_of(cycle: Cycle) -> ev.Front | None:
         return ev.Front(code, 3)
     if code == Instruction.READ:
         return ev.Front(code, 7)
-    if code in _WRITES:
+    if code in SINGLE_WRITES:
         return ev.Front(code, 5 + cycle.length)
-    if code in GROUPS:
+    if code in GROUP_READS:
         return ev.Front(code, 7 + many)
     if code == Instruction.SYNC_WRITE:
         return ev.Front(code, 7 + many * (1 + cycle.length))
@@ -197,14 +206,15 @@ def ran_into_answers(case: Case) -> int:
     found = 0
     for cycle in case.report.cycles if case.damage else ():
         packet = packet_of(cycle.instruction, cycle.ids, cycle.address, cycle.length)
-        at = noise.find(packet[-TAIL:]) if packet else -1
+        at = noise.find(packet[-TAIL_BYTES:]) if packet else -1
         while at >= 0:
-            begin = at + TAIL - len(packet)
-            found += begin >= 0 and wrong_bits(noise[begin:at], packet[:-TAIL]) > FLIPPED
-            at = noise.find(packet[-TAIL:], at + TAIL)
+            begin = at + TAIL_BYTES - len(packet)
+            found += begin >= 0 \
+                and wrong_bits(noise[begin:at], packet[:-TAIL_BYTES]) > NOISE_MAX_BITS
+            at = noise.find(packet[-TAIL_BYTES:], at + TAIL_BYTES)
     return found
 
 
 def laid_over_answers(case: Case) -> bool:
     """Tell whether questions were wholly inside something else, as far as the last noise."""
-    return case.damage >= FEW and laid_over(case.report) >= FEW
+    return case.damage >= INCIDENTS_MIN and laid_over(case.report) >= INCIDENTS_MIN

@@ -20,7 +20,6 @@ from msg_defs.reports import Level
 from servobus.bus.report import IncidentKind
 from servobus.doctor.symptom import Symptom
 
-RECENT_S = 10.0                    # a value that is older says nothing of now
 ANSWER = 'answer'                  # for `rests_on`: the last answer to any instruction
 FAMILY_1 = ('1', 'feetech')        # as model files call the protocols of the 1.0 family
 

@@ -16,8 +16,8 @@ from typing import Literal
 # How bytes, packets and answers come: at a wrong rate, or with an echo, none of that is real.
 TrafficSymptom = Literal[
     'echo', 'lost bytes', 'stray bytes', 'unread bytes', 'damaged first bytes',
-    'damaged answers',               # of one device
-    'damaged packets',               # of several
+    'damaged answers',               # from one device
+    'damaged packets',               # from several
     'missed answers',                # now and then
     'silent device', 'silent bus',
     'device not served',             # in a group read that ends at a silent device before it

@@ -12,11 +12,12 @@ from servobus.bus import evidence as ev
 from servobus.bus import report as words
 from servobus.bus.report import DeviceReport
 from servobus.doctor.case import Case
-from servobus.doctor.facts import ALIVE_VOLTS
+from servobus.doctor.facts import ALIVE_MIN_VOLTS
 from servobus.doctor.facts import is_off
 from servobus.doctor.facts import is_watched
 from servobus.doctor.facts import last_read
 from servobus.doctor.facts import limit_of
+from servobus.doctor.facts import RANGE_ERROR
 from servobus.doctor.facts import SUPPLY
 from servobus.doctor.rule import ANSWER
 from servobus.doctor.rule import Claim
@@ -25,18 +26,20 @@ from servobus.doctor.rule import Doubt
 from servobus.doctor.rule import Found
 from servobus.doctor.rule import in_full
 from servobus.doctor.rule import listed
-from servobus.doctor.rule import RECENT_S
 from servobus.doctor.rule import Rule
+from servobus.doctor.thresholds import INCIDENTS_MIN
+from servobus.doctor.thresholds import SUPPLY_MIN_DEVICES
+from servobus.doctor.thresholds import TURN_STEPS
+from servobus.doctor.thresholds import WINDOW_S
 
-NEAR_DEGREES = 5.0
-NEAR_VOLTS = 0.3
-TRIPPED = (0xFF, -1)
-RANGE = 4
-TURN, EDGE = 4096, 1024            # steps of a turn; so near its ends
-GOAL_SIZE = 2                      # bytes: with four a position does not end there
-FRESH_S = 3.0
-FEW, TWICE = 3, 2
-BY_CHANCE = 8                      # damaged answers to one error byte: their sum has one byte
+NEAR_DEGREES = 5.0                 # to its limit: a load that goes on brings it there
+NEAR_VOLTS = 0.3                   # to a limit: a motion takes it there
+WATCHDOG_TRIPPED = (0xFF, -1)
+EDGE_STEPS = 1024                  # so near the ends of a turn it may jump across
+GOAL_BYTES = 2                     # with four a position does not end at a turn
+GOAL_FRESH_S = 3.0
+WRAPS_MIN = 2                      # across the end of the turn and back
+ERROR_BYTE_BY_CHANCE = 8           # damaged answers to one error byte: their sum has one byte
 _FREE_IT = ('free the joint or reduce its load; then switch its torque off and on, or its power '
             'if that does not help')
 # What to do about an error bit of the 1.0 family, by a part of its name; the first that fits.
@@ -65,7 +68,7 @@ def latched(device: DeviceReport) -> Claim | None:
     """Return the hardware error of a device, by its alert bit."""
     is_2 = device.protocol == words.PROTOCOL_2
     if not device.alert or not device.window.alerts \
-            or (not is_2 and BY_CHANCE * device.window.alerts <= device.window.spoilt):
+            or (not is_2 and ERROR_BYTE_BY_CHANCE * device.window.alerts <= device.window.spoilt):
         return None
     values = {one.field.name: one for one in device.observed}
     torque = ', torque is off' if is_off(values.get('Torque Enable')) else ''
@@ -95,11 +98,11 @@ def watchdog(case: Case, device: DeviceReport) -> Found | None:
     seen = case.values[device.id].get('Bus Watchdog')
     if seen is None:
         return None
-    refused = sum(one.detail.error == RANGE and _is_goal(device, one.detail.address)
+    refused = sum(one.detail.error == RANGE_ERROR and _is_goal(device, one.detail.address)
                   for one in case.incidents(ev.REFUSED, device)) \
         if case.count(ev.REFUSED, device) else 0
-    tripped = seen.source == 'r' and seen.value.raw in TRIPPED
-    if not tripped and not (refused >= FEW and seen.value.raw):
+    tripped = seen.source == 'r' and seen.value.raw in WATCHDOG_TRIPPED
+    if not tripped and not (refused >= INCIDENTS_MIN and seen.value.raw):
         return None
     return Claim(f'Bus Watchdog tripped, {refused} goals refused: the master was '
                  'silent too long; write 0 to Bus Watchdog, then send goals without such gaps',
@@ -151,12 +154,12 @@ def voltage(case: Case) -> Claims:
     for device in case.report.devices:
         said = latched(device) if device.last_error.endswith(_OF_SUPPLY) else None
         # An error bit of now says more than a value of then.
-        volts = last_read(case, device, SUPPLY[0], RECENT_S if said else inf)
+        volts = last_read(case, device, SUPPLY[0], WINDOW_S if said else inf)
         if said and device.totals.answers == device.totals.pongs:
             pinged.append(device.id)
-        elif said and (volts is None or volts < ALIVE_VOLTS):
+        elif said and (volts is None or volts < ALIVE_MIN_VOLTS):
             found.append(said)
-        if volts is None or volts < ALIVE_VOLTS:
+        if volts is None or volts < ALIVE_MIN_VOLTS:
             continue
         low, source = limit_of(case, device, 'Min Voltage Limit', 'low')
         high, _ = limit_of(case, device, 'Max Voltage Limit', 'high')
@@ -173,7 +176,7 @@ def voltage(case: Case) -> Claims:
         elif said:
             found.append(said._replace(figures={'voltage (V)': f'{volts:.1f}'}))
     yield from found
-    if len(found) >= FEW:
+    if len(found) >= SUPPLY_MIN_DEVICES:
         yield Claim(f'{len(found)} devices near or beyond a voltage limit: the supply is '
                     'the cause; measure it, charge the battery, check cable gauge',
                     {'devices': in_full([one.device for one in found if one.device])},
@@ -198,15 +201,16 @@ def _supply(device: DeviceReport, volts: float, is_beyond: bool, where: str) -> 
       symptoms={'proof'}).checked_by
 def range_wraps(case: Case, device: DeviceReport) -> Found | None:
     goal, place = map(case.values[device.id].get, ('Goal Position', 'Present Position'))
-    if goal is None or goal.source != 'w' or goal.age_s > FRESH_S \
-            or goal.field.size != GOAL_SIZE \
+    if goal is None or goal.source != 'w' or goal.age_s > GOAL_FRESH_S \
+            or goal.field.size != GOAL_BYTES \
             or place is None or not is_watched(case, device, place):
         return None
     places = [one.position for one in case.samples.get(device.id, ()) if one.position is not None]
-    beyond = [place < EDGE for place in places if place < EDGE or TURN - EDGE <= place < TURN]
-    if len(beyond) < len(places) or sum(map(ne, beyond, beyond[1:])) < TWICE:
+    beyond = [place < EDGE_STEPS for place in places
+              if place < EDGE_STEPS or TURN_STEPS - EDGE_STEPS <= place < TURN_STEPS]
+    if len(beyond) < len(places) or sum(map(ne, beyond, beyond[1:])) < WRAPS_MIN:
         return None                            # it goes the long way, as it can
-    return Claim(f'its joint moves across the end of the turn, from {TURN - 1} to 0, '
+    return Claim(f'its joint moves across the end of the turn, from {TURN_STEPS - 1} to 0, '
                  'where goals make it turn the long way round: calibrate it again, with the joint '
                  'in the middle of its range', rests_on=('Present Position',))
 

@@ -16,16 +16,17 @@ from servobus.doctor.rule import Doubt
 from servobus.doctor.rule import FAMILY_1
 from servobus.doctor.rule import Found
 from servobus.doctor.rule import listed
-from servobus.doctor.rule import RECENT_S
 from servobus.doctor.rule import Rule
 from servobus.doctor.symptom import SILENCE
+from servobus.doctor.thresholds import WINDOW_S
 
 FEETECH = 'feetech'
 # What LeRobot takes these codes for (its tables of Feetech motors, commit 7427f31).
 LEROBOT_BAUDS = {5: 57_600, 6: 38_400, 7: 19_200}
-TWICE = 2
-MIDDLE, STEPS = 2047, 1           # where LeRobot puts the middle; as near as a goal is met
-SIGN = 0x800                       # in Homing Offset (Feetech, STS memory table)
+CALIBRATIONS_MIN = 2
+MIDDLE_STEPS = 2047                # where LeRobot puts the middle
+OFFSET_TOLERANCE_STEPS = 1         # as near as a goal is met
+OFFSET_SIGN = 0x800                # in Homing Offset (Feetech, STS memory table)
 # What Lock does to a write of EEPROM (e-Manual, Protocol 1.0; Feetech, STS memory table).
 _OF_LOCK = {'1': ('ignores it', 'switch its power off and on to unlock it'),
             FEETECH: ('forgets it at power-off', 'write 0 to Lock before it, and 1 after it')}
@@ -60,7 +61,7 @@ def lock(case: Case, device: DeviceReport) -> Found | None:
     if lock is None or lock.value.raw == 1:
         written += [one.field.name for one in device.observed if one.source == 'w'
                     and one.field.memory == 'eeprom' and (
-                        lock is None or one.age_s < min(lock.age_s, RECENT_S))]
+                        lock is None or one.age_s < min(lock.age_s, WINDOW_S))]
     if not written:
         return None
     if lock is None:
@@ -77,26 +78,26 @@ def lock(case: Case, device: DeviceReport) -> Found | None:
       symptoms={'proof'}).checked_by
 def calibrated_twice(case: Case, device: DeviceReport) -> Found | None:
     times = case.count(ev.CALIBRATED, device)
-    if times >= TWICE:
+    if times >= CALIBRATIONS_MIN:
         return Claim(f'calibrated {times} times within 10 s: each time its present '
                      'position becomes the middle; do it once, with the joint in the middle',
                      {'times': times})
     offsets = case.incidents(ev.OFFSET_WRITTEN, device)
     for now, before, place in (one.detail for one in offsets):
-        if now and before and abs(_signed(now) - (place - MIDDLE)) <= STEPS:
+        if now and before and abs(_signed(now) - (place - MIDDLE_STEPS)) <= OFFSET_TOLERANCE_STEPS:
             return Claim(f'Homing Offset {_signed(now)} written: its position less '
-                         f'{MIDDLE}, as it was with the offset {_signed(before)}, so the new one '
-                         'is wrong by that; write 0, measure again')
-    last = offsets[-1] if len(offsets) >= TWICE else None
+                         f'{MIDDLE_STEPS}, as it was with the offset {_signed(before)}, so the '
+                         'new one is wrong by that; write 0, measure again')
+    last = offsets[-1] if len(offsets) >= CALIBRATIONS_MIN else None
     if last is None or not (last.detail.now and last.detail.before):
         return None
-    return Claim(f'Homing Offset written {len(offsets)} times within 10 s, {TWICE} '
+    return Claim(f'Homing Offset written {len(offsets)} times within 10 s, {CALIBRATIONS_MIN} '
                  'without 0 between: the new offset includes the old one; write 0, measure '
                  'again', {'now, before': f'{last.detail.now}, {last.detail.before}'})
 
 
 def _signed(offset: int) -> int:
-    return offset if offset < SIGN else SIGN - offset
+    return offset if offset < OFFSET_SIGN else OFFSET_SIGN - offset
 
 
 @Rule(seen='one model with different firmware',

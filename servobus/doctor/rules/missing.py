@@ -11,6 +11,8 @@ from statistics import median
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.reports import Level
+from msg_defs.units import NS_PER_MS
+from msg_defs.units import NS_PER_S
 from servobus.bus import evidence as ev
 from servobus.bus import report as words
 from servobus.bus.report import DeviceReport
@@ -18,11 +20,11 @@ from servobus.bus.report import Incident
 from servobus.bus.table import IDENTITY
 from servobus.bus.unread import HUNG_NS
 from servobus.doctor.case import Case
-from servobus.doctor.case import GONE_S
 from servobus.doctor.case import is_waiting
 from servobus.doctor.case import Sample
 from servobus.doctor.facts import ended_on
 from servobus.doctor.facts import is_off
+from servobus.doctor.facts import is_rate_search
 from servobus.doctor.facts import is_watched
 from servobus.doctor.facts import read_late
 from servobus.doctor.rule import about
@@ -35,23 +37,24 @@ from servobus.doctor.rule import listed
 from servobus.doctor.rule import longer_than
 from servobus.doctor.rule import Rule
 from servobus.doctor.rule import share
-from servobus.doctor.states import RATES
 from servobus.doctor.symptom import SILENCE
+from servobus.doctor.thresholds import GONE_S
+from servobus.doctor.thresholds import INCIDENTS_MIN
+from servobus.doctor.thresholds import STILL_MAX_STEPS
 
-S, MS = 1_000_000_000, 1_000_000
-AWAY_MS = 100                      # shorter than any start; longer than an answer or two lost
-DIP = 0.9                          # below this share of the voltage now the supply sagged
-FAR = 200                          # the same: farther than what holds a joint bends
-STANDS_S = 2.5                     # it does not move for so long of them; its torque was not read
-SETTLED_S = 2.0                    # after a return: by then a restart has shown
+AWAY_MIN_MS = 100                  # shorter than any start; longer than an answer or two lost
+DIP_MAX_SHARE = 0.9                # share of the voltage now: lower before, and the supply sagged
+RETURN_SETTLED_S = 2.0             # by then a restart has shown
 TICK_TURN_S, TICK_SLACK_S = 32.768, 0.5        # Realtime Tick begins at 0 again (e-Manual)
-LOSS, LATE = 0.01, 0.1             # shares of its answers
-HELD_US = 20_000                   # so long an adapter may hold an answer back (latency timer)
-MANY = 4                           # as `missed_limit`
-FEW = 3                            # vain waits that show it
-MOVES, STANDS = 20, 6              # raw steps of a goal, of a position: it does not follow
-STOPPED_S = 1.0                    # standing still for so long means something
-FOLLOW_S = 4.0                     # samples of so long tell whether it follows
+MISSED_MIN_SHARE = 0.01            # share of its answers; fewer are lost on a healthy bus too
+LATE_MIN_SHARE = 0.1               # share of its answers; fewer are late by chance
+ADAPTER_HOLD_US = 20_000           # so long an adapter may hold an answer back (latency timer)
+ACKS_MISSED_LIMIT = 4              # as `missed_limit`
+GOAL_MOVES_STEPS = 20              # a goal that changes less may be held by friction
+GOAL_FAR_STEPS = 200               # farther than what holds a joint bends
+STOPPED_MIN_S = 1.0                # standing still for so long means something
+STILL_MIN_S = 2.5                  # the same where its torque was not read
+FOLLOW_WINDOW_S = 4.0              # samples of so long show whether it follows
 _MOTION = 'Present Position', 'Torque Enable'
 _OF_THE_MASTER = ", and that the program uses the servos' baud rate, protocol and ID"
 
@@ -69,7 +72,7 @@ def brown_out(case: Case) -> Claims:
     if not absences:
         return
     last = max(absences, key=lambda one: one.stamp)
-    begin = last.stamp - last.detail.ms * MS
+    begin = last.stamp - last.detail.ms * NS_PER_MS
     together = [one for one in absences if one.stamp > begin]
     if len({one.device for one in together}) == 1:     # others waited for it, unasked
         together += [other for number, device in case.devices.items()
@@ -92,18 +95,18 @@ def brown_out(case: Case) -> Claims:
 
 def _was_with_all(case: Case, back: Incident[ev.SilentFor], ids: list[int]) -> bool:
     """Tell whether nothing at all answered while a device was away, and several were asked."""
-    begin = back.stamp - back.detail.ms * MS
+    begin = back.stamp - back.detail.ms * NS_PER_MS
     waits = [one for one in case.report.waits if begin < one.stamp <= back.stamp]
     asked = {cycle.ids[0] for cycle in case.report.cycles for stamp in cycle.stamps
              if cycle.ids != (BROADCAST,) and (begin < stamp < back.stamp or (
                  begin < cycle.stamps[0] and len(cycle.stamps) < cycle.asked))}     # or unknown
-    return len(waits) >= FEW and not _hurries(case) and {*ids} >= asked \
+    return len(waits) >= INCIDENTS_MIN and not _hurries(case) and {*ids} >= asked \
         and not any(one.is_spoilt for one in waits) and len({one.device for one in waits}) > 1
 
 
 def _dip(case: Case, number: int) -> str:
     voltages = [one.voltage for one in case.samples.get(number, ()) if one.voltage]
-    if voltages and min(voltages) < DIP * voltages[-1]:
+    if voltages and min(voltages) < DIP_MAX_SHARE * voltages[-1]:
         return f'{number:03} measured {min(voltages):.1f} V before, {voltages[-1]:.1f} V now'
     return ''
 
@@ -131,13 +134,20 @@ def all_silent(case: Case) -> Claims:
         hint = '' if case.report.has_sides else '; or only the master is heard'
         yield Claim(f'none of {len(missing)} devices answers the master: check power and '
                     f'first cable{_OF_THE_MASTER if is_new else alone}{hint}', figures)
-    elif not (case.report.is_answered or case.count(ev.LATE)) and (
-            case.report.is_over or len(case.report.tried) <= RATES) and (
-            case.report.failed or (case.report.is_over and len(case.report.waits) >= FEW) or sum(
-                cycle.asked for cycle in case.report.cycles
-                if cycle.instruction == Instruction.PING) >= (1 if case.report.is_over else FEW)):
+    elif not case.report.is_answered and _asks_in_vain(case):
         yield Claim('not one byte comes back to the program: check power and first cable'
                     f'{_OF_THE_MASTER}', figures)
+
+
+def _asks_in_vain(case: Case) -> bool:
+    """Tell whether a program that never got a byte waits long and often enough for one."""
+    report = case.report
+    if case.count(ev.LATE) or (is_rate_search(report) and not report.is_over):
+        return False
+    pings = sum(cycle.asked for cycle in report.cycles if cycle.instruction == Instruction.PING)
+    if not report.is_over:
+        return bool(report.failed) or pings >= INCIDENTS_MIN
+    return bool(report.failed or pings) or len(report.waits) >= INCIDENTS_MIN
 
 
 def _waits_for_one(case: Case, missing: list[int]) -> bool:
@@ -148,10 +158,10 @@ def _waits_for_one(case: Case, missing: list[int]) -> bool:
         for device in map(case.devices.__getitem__, missing))
 
 
-def _hurries(case: Case, least: int = FEW) -> bool:
+def _hurries(case: Case, least: int = INCIDENTS_MIN) -> bool:
     """Tell whether the master waits too short a time for most adapters, and answers come late."""
     return case.count(ev.LATE) >= least and min(
-        (one.us for one in case.report.waits), default=HELD_US) < HELD_US
+        (one.us for one in case.report.waits), default=ADAPTER_HOLD_US) < ADAPTER_HOLD_US
 
 
 @Rule(seen='the last two or more of `devices`, listed in cable order, are gone',
@@ -262,8 +272,9 @@ def _at_the_end(case: Case) -> Claims:
 
 def _is_late(case: Case, device: DeviceReport) -> bool:
     """Tell whether a device answers too late so often that the last question is one more."""
-    return case.count(ev.LATE, device) >= max(FEW, LATE * device.window.asked) \
-        or (device.last_heard_s is not None and not device.totals.answers)
+    least = max(INCIDENTS_MIN, LATE_MIN_SHARE * device.window.asked)
+    return case.count(ev.LATE, device) >= least or (
+        device.last_heard_s is not None and not device.totals.answers)
 
 
 def _left_open(case: Case) -> Claims:
@@ -272,7 +283,7 @@ def _left_open(case: Case) -> Claims:
     last = case.last_wait
     if last is not None and not last.is_spoilt and last.instruction != Instruction.PING \
             and case.report.is_over and case.now - last.stamp > HUNG_NS:
-        hung.append((last.device, (case.now - last.stamp) / S))
+        hung.append((last.device, (case.now - last.stamp) / NS_PER_S))
     for number, seconds in hung:
         yield Claim('did not answer the last question, and the program asked nothing more for '
                     f'{seconds:.0f} s: check its power and cable, and let the program read '
@@ -290,8 +301,10 @@ def _is_used(device: DeviceReport) -> bool:
 
 def _unacknowledged(case: Case) -> Claims:
     """Look for devices that were only written to, and never heard."""
-    if not case.report.is_answered and any(one.acks_missing for one in case.report.devices) \
-            and case.report.is_over and not case.report.failed and len(case.report.waits) < FEW:
+    failed, is_over = case.report.failed, case.report.is_over
+    if is_over and not failed and not case.report.is_answered \
+            and any(one.acks_missing for one in case.report.devices) \
+            and len(case.report.waits) < INCIDENTS_MIN:
         yield Doubt('writes are sent, and not one byte comes back: no power, another baud '
                     'rate, or Status Return Level below 2; let your program read once')
     for device in case.report.devices if any(one.acks for one in case.report.devices) else ():
@@ -301,9 +314,8 @@ def _unacknowledged(case: Case) -> Claims:
             says = (f'never heard, and did not acknowledge {device.acks_missing} writes, as '
                     'others do: check its power, cable and ID, or its Status Return Level if it '
                     'answers a Ping')
-            failed, is_over = case.report.failed, case.report.is_over
             yield Claim(says, level=None if failed else Level.WARN, device=device.id) \
-                if failed or (is_over and device.acks_missing > MANY) \
+                if failed or (is_over and device.acks_missing > ACKS_MISSED_LIMIT) \
                 else Doubt(says, device.id)
 
 
@@ -337,8 +349,8 @@ def dropout(case: Case, device: DeviceReport) -> Found | None:
             or (totals.data_missed and totals.answers == totals.pongs):
         return None                    # or it answers Pings only
     absences = [one for one in _absences(case, device)
-                if one.detail.missed >= FEW and _talks_since(case, one)
-                and (case.now - one.stamp > SETTLED_S * S or case.report.is_over)]
+                if one.detail.missed >= INCIDENTS_MIN and _talks_since(case, one)
+                and (case.now - one.stamp > RETURN_SETTLED_S * NS_PER_S or case.report.is_over)]
     if not absences or sum(one.detail.missed for one in absences) * 2 < device.window.missed:
         return None                    # else answers are lost by chance
     away = max(one.detail.ms for one in absences)
@@ -353,13 +365,13 @@ def _absences(case: Case, device: DeviceReport | None = None) -> list[Incident[e
         return []
     ordered = {one.device for one in case.incidents(ev.REBOOTED)}
     return [one for one in case.incidents(ev.RETURNED, device)
-            if one.detail.ms >= AWAY_MS and one.device not in ordered]
+            if one.detail.ms >= AWAY_MIN_MS and one.device not in ordered]
 
 
 def _talks_since(case: Case, back: Incident[ev.SilentFor]) -> bool:
     """Tell whether data came from it since; one that never gave any shall not be held up."""
     ages = _data_ages(case.devices[back.device]) if back.device in case.devices else []
-    return not ages or min(ages) * S < case.now - back.stamp
+    return not ages or min(ages) * NS_PER_S < case.now - back.stamp
 
 
 def _data_ages(device: DeviceReport) -> list[float]:
@@ -370,15 +382,15 @@ def _data_ages(device: DeviceReport) -> list[float]:
 def _restart_proof(case: Case, back: Incident[ev.SilentFor]) -> str:
     """Return what says that a device started again while it was away, '' if nothing does."""
     torque = case.values[back.device].get('Torque Enable') if back.device in case.values else None
-    if torque is not None and is_off(torque) and case.now - torque.age_s * S >= back.stamp \
+    if torque is not None and is_off(torque) and case.now - torque.age_s * NS_PER_S >= back.stamp \
             and back.detail.torque > 0:
         return 'Torque Enable fell to 0'
     samples = case.samples.get(back.device, ())
-    before = [one for one in samples if one.stamp < back.stamp - back.detail.ms * MS]
+    before = [one for one in samples if one.stamp < back.stamp - back.detail.ms * NS_PER_MS]
     after = [one for one in samples if one.stamp > back.stamp]
     if before and after and _tick_jumped(before[-1], after[0]):
         return 'Realtime Tick jumped back'
-    if _does_not_follow(after) and _span([one.position for one in before]) >= MOVES \
+    if _does_not_follow(after) and _span([one.position for one in before]) >= GOAL_MOVES_STEPS \
             and not _does_not_follow(before) and not case.devices[back.device].alert:
         return 'no longer follows its goal'
     return ''
@@ -387,7 +399,7 @@ def _restart_proof(case: Case, back: Incident[ev.SilentFor]) -> str:
 def _tick_jumped(before: Sample, after: Sample) -> bool:
     if before.tick is None or after.tick is None:
         return False
-    expected = (before.tick + (after.stamp - before.stamp) / S) % TICK_TURN_S
+    expected = (before.tick + (after.stamp - before.stamp) / NS_PER_S) % TICK_TURN_S
     off = abs(expected - after.tick)
     return TICK_SLACK_S < off < TICK_TURN_S - TICK_SLACK_S and after.tick < expected
 
@@ -402,12 +414,12 @@ def _tick_jumped(before: Sample, after: Sample) -> bool:
 def torque_off(case: Case, device: DeviceReport) -> Found | None:
     samples = _since_it_moved(_recent_samples(case, device.id))
     place = case.values[device.id].get('Present Position')
-    if place is None or place.source != 'r' or place.age_s > STOPPED_S \
+    if place is None or place.source != 'r' or place.age_s > STOPPED_MIN_S \
             or device.alert or not _does_not_follow(samples):
         return None                    # or its error says why
     torque, goal = map(case.values[device.id].get, ('Torque Enable', 'Goal Position'))
     if torque is not None and not torque.value.raw and (
-            torque.age_s < FOLLOW_S if torque.source == 'r'
+            torque.age_s < FOLLOW_WINDOW_S if torque.source == 'r'
             else goal is not None and goal.age_s < torque.age_s):
         return Claim('goals are sent to it, but its torque is off: switch it on '
                      '(Torque Enable 1); after a restart, write all its settings again',
@@ -421,13 +433,13 @@ def torque_off(case: Case, device: DeviceReport) -> Found | None:
     if torque is not None and torque.value.raw and not _absences(case, device):
         return None                    # it is on, so something holds it, or it is where it can be
     since = samples[1].stamp
-    who = ', others do' if any(_span([
-        one.position for one in _recent_samples(case, other) if one.stamp >= since]) >= MOVES
-        for other in case.samples if other != device.id) else ''
+    others = [[one.position for one in _recent_samples(case, other) if one.stamp >= since]
+              for other in case.samples if other != device.id]
+    who = ', others do' if any(_span(places) >= GOAL_MOVES_STEPS for places in others) else ''
     if not who and torque is None and case.report.has_sides and device.model.protocol == '2' \
-            and _span([one.goal for one in samples[1:]]) >= FAR:
+            and _span([one.goal for one in samples[1:]]) >= GOAL_FAR_STEPS:
         who = ', nothing set its torque'
-    if samples[-1].stamp - samples[0].stamp < STANDS_S * S or not who:
+    if samples[-1].stamp - samples[0].stamp < STILL_MIN_S * NS_PER_S or not who:
         return None
     return Claim(f'its goal changes but the joint does not move{who}: its '
                  'torque is off or it is blocked; read Torque Enable, switch it on',
@@ -437,10 +449,10 @@ def torque_off(case: Case, device: DeviceReport) -> Found | None:
 def _does_not_follow(samples: list[Sample]) -> bool:
     """Tell whether the goal moves and the position does not."""
     samples = samples[1:]
-    if len(samples) < 2 or samples[-1].stamp - samples[0].stamp < STOPPED_S * S:
+    if len(samples) < 2 or samples[-1].stamp - samples[0].stamp < STOPPED_MIN_S * NS_PER_S:
         return False
-    return _span([one.goal for one in samples]) >= MOVES \
-        and 0 <= _span([one.position for one in samples]) <= STANDS
+    return _span([one.goal for one in samples]) >= GOAL_MOVES_STEPS \
+        and 0 <= _span([one.position for one in samples]) <= STILL_MAX_STEPS
 
 
 def _span(places: list[float | None]) -> float:
@@ -450,14 +462,15 @@ def _span(places: list[float | None]) -> float:
 
 
 def _recent_samples(case: Case, number: int) -> list[Sample]:
-    return [one for one in case.samples.get(number, ()) if one.stamp > case.now - FOLLOW_S * S]
+    since = case.now - FOLLOW_WINDOW_S * NS_PER_S
+    return [one for one in case.samples.get(number, ()) if one.stamp > since]
 
 
 def _since_it_moved(samples: list[Sample]) -> list[Sample]:
     """Return the samples since a joint moved last, with that one."""
     last = samples[-1].position if samples else None
     moved = [at for at, one in enumerate(samples) if one.position is not None
-             and last is not None and abs(one.position - last) > STANDS]
+             and last is not None and abs(one.position - last) > STILL_MAX_STEPS]
     return samples[moved[-1] if moved else 0:]
 
 
@@ -497,7 +510,8 @@ def _is_ping_only(case: Case, device: DeviceReport) -> bool:
         return True
     is_since = device.id in case.gone and totals.data_missed == totals.missed   # no Ping was
     asked, least = (totals, 1) if is_since else (case.lately(device, GONE_S), 2)
-    return asked.answers == asked.pongs >= least and asked.data_missed >= FEW and not asked.spoilt
+    return asked.answers == asked.pongs >= least and not asked.spoilt \
+        and asked.data_missed >= INCIDENTS_MIN
 
 
 @Rule(seen='more than 1 % of its answers missing',
@@ -508,10 +522,11 @@ def missed_answers(case: Case, device: DeviceReport) -> Found | None:
     window = device.window
     lost = window.missed - window.spoilt - sum(     # what came in the next one's time is there
         case.count(kind, device) for kind in (ev.LATE, ev.SECOND_ANSWER))
-    if lost < FEW or lost <= LOSS * window.asked or device.id in case.gone \
-            or device.missed_in_a_row > FEW or case.count(ev.MISSED, device) < FEW \
-            or len(case.report.tried) > RATES \
-            or case.count(ev.REBOOTED, device):
+    if lost < INCIDENTS_MIN or lost <= MISSED_MIN_SHARE * window.asked:
+        return None
+    is_gone = device.id in case.gone or device.missed_in_a_row > INCIDENTS_MIN
+    if is_gone or is_rate_search(case.report) or case.count(ev.REBOOTED, device) \
+            or case.count(ev.MISSED, device) < INCIDENTS_MIN:
         return None
     return Claim(f'{about(lost, window.asked)} of its answers missing, with no bytes '
                  'in their place: check its plugs; a device that did not get the instruction '

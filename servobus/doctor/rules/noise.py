@@ -15,6 +15,7 @@ from msg_defs.dxl_packet import HEADER
 from msg_defs.reports import Level
 from msg_defs.uart import byte_ns
 from msg_defs.uart import heard_at
+from msg_defs.units import NS_PER_S
 from servobus.bus import evidence as ev
 from servobus.bus import report as words
 from servobus.bus.report import DeviceReport
@@ -35,25 +36,32 @@ from servobus.doctor.rule import share
 from servobus.doctor.symptom import DAMAGE
 from servobus.doctor.symptom import SILENCE
 from servobus.doctor.symptom import TRAFFIC
+from servobus.doctor.thresholds import INCIDENTS_MIN
 
-TWICE, FEW, SOME = 2, 3, 5
-NOISY = GLITCHY = 0.001            # damaged of all packets; packets after a stray byte
-HEADERS = 0.01                     # answers with a damaged first byte
-BY_CHANCE = 1 / 8                  # share of damage that hits a first byte by chance
-MOSTLY = 0.7
-BOTH_WAYS = 0.2                    # share of damage in instructions: both directions suffer
-GARBLED = 0.005                    # by chance, this share of the bytes is packets at most
-BYTES_NEEDED = 300
-IMPOSSIBLE = 120.0                 # % of the wire time
-BURST_NS = 1_000_000_000           # a source may hand over so much wire time late
-ECHO_US = 100
-WRITTEN_S = 0.5                    # an acknowledgement and a write to Lock may follow
-AT_ONCE = 1.5                      # answers right after one's own, to those at any time
-ECHOED = 0.1                       # share of the instructions: some run into answers
-ONSET_S = 1.0                      # by then it has shown whether something else does it
-RATES = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
-ENOUGH = 3                         # headers
-CERTAIN = 2                        # bytes of a header as it looks: fewer say nothing
+NOISE_MIN_PACKETS = 5              # damaged ones: fewer have no common cause
+NOISE_MIN_SHARE = 0.001            # share of all packets
+STRAY_MIN_PACKETS = 5              # after a stray byte
+STRAY_MIN_SHARE = 0.001            # share of all packets
+ONE_DEVICE_MIN_SHARE = 0.7         # share of the damage: it is that of one device
+BOTH_WAYS_MIN_SHARE = 0.2          # share of the damage, in instructions: both directions suffer
+DAMAGE_ONSET_S = 1.0               # by then it has shown whether something else does it
+TURNAROUND_MIN_SHARE = 0.01        # share of the answers, with a damaged first byte
+FIRST_BYTE_BY_CHANCE = 1 / 8       # share of damage that hits a first byte by chance
+SURPLUS_MIN_ANSWERS = 5            # with bytes after them
+SURPLUS_MIN_SHARE = 0.2            # share of its answers: a second device answers each time
+AGAIN_MIN_SHARE = 0.7              # share of the damage, where its answer comes once more
+SECOND_ANSWERS_FACTOR = 1.5        # times those that come at any other time
+ECHO_MIN_INSTRUCTIONS = 5
+ECHO_MIN_SHARE = 0.1               # share of the instructions: some run into answers
+ECHO_MAX_US = 100                  # from an instruction to its echo
+PACKETS_BY_CHANCE = 0.005          # at most this share of bytes is packets at a wrong rate
+WRONG_BAUD_MIN_BYTES = 300
+LOAD_IMPOSSIBLE_PERCENT = 120.0    # wire time; a source with a wrong clock reaches less
+BURST_NS = NS_PER_S                # a source may hand over so much wire time late
+AFTER_WRITE_S = 0.5                # an acknowledgement and a write to Lock may follow
+COMMON_RATES = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
+RATE_MIN_HEADERS = 3
+RATE_MIN_BYTES = 2                 # from a header as it looks: fewer say nothing
 # What is said of a bus without a packet where the bytes are too few for the rule.
 NO_PACKETS = ('bytes, but no packet: set {bauds} to the rate of the bus, and check that it is a '
               'servo bus and that D+ and D- are not swapped')
@@ -72,15 +80,15 @@ def wrong_baud(case: Case) -> Claims:
     got, good, errors = (case.counted(name, 2.0) for name in ('bytes', 'packet_bytes', 'framing'))
     if not report.baud:                # it is still to be learned
         return
-    if (load := _load(case)) > IMPOSSIBLE:
+    if (load := _load(case)) > LOAD_IMPOSSIBLE_PERCENT:
         yield Claim(f'more bytes than {report.baud} Bd can carry: the bus is faster; set '
                     f'{case.names.bauds} to its rate', {'load (%)': f'{load:.0f}'})
         return
     rate_of = case.names.bauds         # below: two servos that collide leave the header whole
-    if report.has_sides and len(report.devices) >= TWICE and FAMILY_HEADER not in report.noise \
+    if report.has_sides and len(report.devices) > 1 and FAMILY_HEADER not in report.noise \
             and all(device.last_heard_s is None for device in report.devices):
         got, good, rate_of = got - good, 0, 'the rate of the program'    # what that sends is whole
-    if not report.is_answered or got < max(BYTES_NEEDED, good / GARBLED) \
+    if not report.is_answered or got < max(WRONG_BAUD_MIN_BYTES, good / PACKETS_BY_CHANCE) \
             or case.count(ev.PROTOCOL_1):
         return
     rate = likely_rate(report.noise, report.baud)
@@ -106,14 +114,15 @@ def likely_rate(noise: bytes, baud: int) -> int | None:
     best = max(counts, key=lambda rate: (counts[rate], len(_looks(baud)[rate])))
     rivals = [rate for rate in counts if counts[rate] == counts[best]
               and len(_looks(baud)[rate]) == len(_looks(baud)[best])]
-    return best if counts[best] >= ENOUGH and len(rivals) == 1 else None
+    return best if counts[best] >= RATE_MIN_HEADERS and len(rivals) == 1 else None
 
 
 @lru_cache(maxsize=16)
 def _looks(baud: int) -> dict[int, bytes]:
     """Return what the first bytes of a packet look like, for each rate the bus may have."""
-    looks = {rate: _look(baud / rate) for rate in RATES if rate != baud}
-    return {rate: look for rate, look in looks.items() if len(look) >= CERTAIN} or {baud: HEADER}
+    looks = {rate: _look(baud / rate) for rate in COMMON_RATES if rate != baud}
+    return {rate: look for rate, look in looks.items() if len(look) >= RATE_MIN_BYTES} \
+        or {baud: HEADER}
 
 
 def _look(ratio: float) -> bytes:
@@ -171,9 +180,10 @@ def id_moved(case: Case, device: DeviceReport) -> Found | None:
 def _written(case: Case, device: DeviceReport, name: str) -> int:
     """Return what was written, where no model was known then and it says nothing since; or -1."""
     one = case.values[device.id].get(name)
-    is_gone = device.id in case.gone or (case.report.failed and device.missed_in_a_row >= FEW)
+    is_gone = device.id in case.gone or (
+        case.report.failed and device.missed_in_a_row >= INCIDENTS_MIN)
     if one is None or one.source != 'w' or not is_gone or device.model.number is not None \
-            or (device.last_heard_s or 0.0) < one.age_s - WRITTEN_S:
+            or (device.last_heard_s or 0.0) < one.age_s - AFTER_WRITE_S:
         return -1
     return int(one.value.raw)
 
@@ -214,17 +224,19 @@ def protocol_1(case: Case) -> Claims:
                     'unsent instructions'}).checked_by
 def echo(case: Case) -> Claims:
     if case.report.has_sides:          # what it says twice it says itself
-        least, heard_back, asked = SOME, case.counted('echoes'), case.counted('instructions')
+        least = ECHO_MIN_INSTRUCTIONS
+        heard_back, asked = case.counted('echoes'), case.counted('instructions')
         if case.report.failed:         # it may have ended on the first
             least, heard_back, asked = 1, case.report.kinds.get(ev.ECHO, 0), \
                 case.report.counters['Instructions']
-        if heard_back >= least and heard_back > ECHOED * asked:
+        if heard_back >= least and heard_back > ECHO_MIN_SHARE * asked:
             yield Claim('the master receives what it sends: its adapter echoes; switch the '
                         'echo off, or let the program skip it', {'echoes': heard_back})
         return
-    again = [one for one in case.incidents(ev.REPEATED) if one.detail.us < ECHO_US]
+    again = [one for one in case.incidents(ev.REPEATED) if one.detail.us < ECHO_MAX_US]
     answered = sum(cycle.asked > 0 for cycle in case.report.cycles)
-    if len(again) >= SOME and answered and len(again) > 0.5 * case.count(ev.REPEATED):
+    if answered and len(again) >= ECHO_MIN_INSTRUCTIONS \
+            and 2 * len(again) > case.count(ev.REPEATED):
         yield Claim('every instruction is heard twice: the adapter echoes what its master '
                     'sends; switch the echo off. Losses counted here are not real',
                     {'echoes': len(again)})
@@ -243,14 +255,15 @@ def duplicate_id(case: Case, device: DeviceReport) -> Found | None:
     if not twice and _alone_answers_again(case, device):
         twice = case.count(ev.ANSWERED_AGAIN, device)
     window = device.window
-    models = window.model_changes >= 2 and window.spoilt >= FEW
+    models = window.model_changes >= 2 and window.spoilt >= INCIDENTS_MIN
     at_end = case.report.failed == words.RAISED and twice == case.count(ev.SECOND_ANSWER)
     others = case.count(ev.UNASKED, device) + case.count(ev.LATE, device)
     if _says_too_much(case, device):
         return Claim('more bytes come than its answers have, not so from others: two '
                      'devices have this ID; unplug one and change the ID of the other',
                      {'answers': window.surplus})
-    if (twice < (1 if at_end else FEW) or twice < AT_ONCE * others) and not models:
+    is_enough = twice >= (1 if at_end else INCIDENTS_MIN)
+    if not models and not (is_enough and twice >= SECOND_ANSWERS_FACTOR * others):
         return None
     also = ', by two models' if window.model_changes >= 2 else ''
     return Claim(f'answered twice{also}: two devices have this ID; unplug one and '
@@ -266,7 +279,7 @@ def _says_too_much(case: Case, device: DeviceReport) -> bool:
     surplus, asked = device.window.surplus, device.window.asked
     others = [one.window for one in case.report.devices
               if one is not device and one.window.answers >= surplus]
-    return surplus >= max(SOME, BOTH_WAYS * asked) and bool(others) and all(
+    return surplus >= max(SURPLUS_MIN_ANSWERS, SURPLUS_MIN_SHARE * asked) and bool(others) and all(
         10 * one.surplus <= surplus for one in others) and not case.count(ev.LATE)
 
 
@@ -284,7 +297,7 @@ def _alone_answers_again(case: Case, device: DeviceReport) -> bool:
     others = [one for one in case.report.devices
               if one is not device and one.window.answers >= again]
     return len(others) > 1 and again == case.count(ev.ANSWERED_AGAIN) \
-        and again >= MOSTLY * case.damage and not any(one.window.spoilt for one in others)
+        and again >= AGAIN_MIN_SHARE * case.damage and not any(one.window.spoilt for one in others)
 
 
 @Rule(seen='answers that this master did not ask for',
@@ -295,8 +308,8 @@ def _alone_answers_again(case: Case, device: DeviceReport) -> bool:
                     'stray bytes', 'damaged first bytes'}).checked_by
 def foreign_answers(case: Case, device: DeviceReport) -> Found | None:
     unasked = case.count(ev.UNASKED, device)
-    if unasked < FEW or case.count(ev.PROTOCOL_1, device) \
-            or case.count(ev.SECOND_ANSWER, device) >= AT_ONCE * unasked:
+    if unasked < INCIDENTS_MIN or case.count(ev.PROTOCOL_1, device) \
+            or case.count(ev.SECOND_ANSWER, device) >= SECOND_ANSWERS_FACTOR * unasked:
         return None
     return Claim(f'{unasked} answers that this master did not ask for: another master, '
                  'on a segment that is not monitored; find and stop it',
@@ -313,15 +326,15 @@ def foreign_answers(case: Case, device: DeviceReport) -> Found | None:
                     'absence'}).checked_by
 def turnaround(case: Case) -> Claims:
     touched = [device for device in case.report.devices if _first_bytes(device)]
-    hit = [device for device in touched if _first_bytes(device) > FEW
-           and _first_bytes(device) > HEADERS * device.window.answers
-           and _first_bytes(device) > BY_CHANCE * device.window.spoilt]
+    hit = [device for device in touched if _first_bytes(device) > INCIDENTS_MIN
+           and _first_bytes(device) > TURNAROUND_MIN_SHARE * device.window.answers
+           and _first_bytes(device) > FIRST_BYTE_BY_CHANCE * device.window.spoilt]
     total = sum(_first_bytes(one) for one in touched)
     beheaded = sum(device.window.beheaded for device in touched)
-    if (total - beheaded <= BY_CHANCE * case.damage and beheaded <= case.damage) \
+    if (total - beheaded <= FIRST_BYTE_BY_CHANCE * case.damage and beheaded <= case.damage) \
             or laid_over_answers(case):
         return
-    if hit and len(touched) > 2 and max(map(_first_bytes, touched)) < MOSTLY * total:
+    if hit and len(touched) > 2 and max(map(_first_bytes, touched)) < ONE_DEVICE_MIN_SHARE * total:
         hit = touched
         first = sum(_first_bytes(device) for device in hit)
         stray = case.counted('glitches')
@@ -360,7 +373,7 @@ def noise(case: Case) -> Claims:
     """Say where frames are damaged too rarely for a claim, or were not heard at all."""
     yield from _noise_claims(case)
     yield from source_lost(case)
-    if 0 < case.damage < SOME:
+    if 0 < case.damage < NOISE_MIN_PACKETS:
         yield Doubt(f'{case.damage} damaged packets in 10 s are too few to find a cause')
 
 
@@ -374,13 +387,14 @@ def source_lost(case: Case) -> Iterator[Doubt]:
 
 def _noise_claims(case: Case) -> Claims:
     packets = case.packets
-    if case.damage < SOME or case.damage < NOISY * packets or case.damage_s < ONSET_S:
+    if case.damage < NOISE_MIN_PACKETS or case.damage < NOISE_MIN_SHARE * packets \
+            or case.damage_s < DAMAGE_ONSET_S:
         return
     hit = [device.id for device in case.report.devices if device.window.spoilt]
     asked = _asked_damaged(case)
-    if asked < BOTH_WAYS * case.damage and _most_hit(case) is not None:
+    if asked < BOTH_WAYS_MIN_SHARE * case.damage and _most_hit(case) is not None:
         return
-    both_ways = asked >= BOTH_WAYS * case.damage
+    both_ways = asked >= BOTH_WAYS_MIN_SHARE * case.damage
     if is_collision(case) if both_ways else may_overlap(case):
         yield Doubt('packets overlap: two programs, two devices with one ID, or a master '
                     'that does not wait for answers')
@@ -403,15 +417,15 @@ def _asked_damaged(case: Case) -> int:
 def _most_hit(case: Case) -> DeviceReport | None:
     """Return the device that has most of all spoilt answers, if there is one."""
     worst = max(case.report.devices, key=lambda device: device.window.spoilt, default=None)
-    if worst is None or worst.window.spoilt < FEW \
-            or worst.window.spoilt < MOSTLY * case.spoilt:
+    if worst is None or worst.window.spoilt < INCIDENTS_MIN \
+            or worst.window.spoilt < ONE_DEVICE_MIN_SHARE * case.spoilt:
         return None
     return worst
 
 
 @Rule(seen='only its answers are damaged, or bytes that are no packet come in their place',
       remedy='unplug it and ping its ID: what still answers is a duplicate; else check its cable',
-      onset_s=ONSET_S,
+      onset_s=DAMAGE_ONSET_S,
       symptoms={'damaged answers'},
       accounts_for={'missed answers', 'absence', 'stray bytes', 'uneven rhythm'}).checked_by
 def damaged_answers(case: Case) -> Claims:
@@ -426,9 +440,9 @@ def damaged_answers(case: Case) -> Claims:
                     'unplugged',
                     is_certain=True, device=device.id)
     if worst is None or _asked_damaged(case) >= \
-            BOTH_WAYS * max(case.damage, case.spoilt):
+            BOTH_WAYS_MIN_SHARE * max(case.damage, case.spoilt):
         return
-    if case.count(ev.TOO_LONG, worst) >= FEW and ran_into_answers(case):
+    if case.count(ev.TOO_LONG, worst) >= INCIDENTS_MIN and ran_into_answers(case):
         yield Doubt('the master sends during its answers', worst.id)
         return
     window = worst.window
@@ -449,7 +463,7 @@ def damaged_answers(case: Case) -> Claims:
 def not_sent(case: Case) -> Claims:
     """Count instructions that were given back or thrown away: only a source with sides knows."""
     count = case.count(ev.NOT_SENT)
-    if count >= (1 if case.report.failed else FEW):
+    if count >= (1 if case.report.failed else INCIDENTS_MIN):
         asked = sorted({one.device for one in case.incidents(ev.NOT_SENT)})
         yield Claim(f'{count} instructions never left the adapter: in the program, switch '
                     'flow control off and do not flush output after a write; else plug the '
@@ -464,7 +478,7 @@ def not_sent(case: Case) -> Claims:
 def stray_bytes(case: Case) -> Claims:
     stray = case.counted('glitches')
     packets = case.packets
-    if stray >= SOME and stray > GLITCHY * packets:
+    if stray >= STRAY_MIN_PACKETS and stray > STRAY_MIN_SHARE * packets:
         yield Claim(f'one or two stray bytes before {share(stray, packets)} of the packets: '
                     'driver enable switches late or the line floats; add bias resistors',
                     {'packets': stray})

@@ -16,6 +16,7 @@ from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.reports import Level
+from msg_defs.units import NS_PER_S
 from servobus.bus import evidence as ev
 from servobus.bus.report import BusReport
 from servobus.bus.report import CONNECTED
@@ -23,7 +24,13 @@ from servobus.bus.report import Cycle
 from servobus.bus.report import DeviceReport
 from servobus.doctor.case import Case
 from servobus.doctor.case import Names
+from servobus.doctor.facts import ACCESS_ERROR
 from servobus.doctor.facts import ended_on
+from servobus.doctor.facts import INSTRUCTION_ERROR
+from servobus.doctor.facts import LENGTH_ERROR
+from servobus.doctor.facts import LIMIT_ERROR
+from servobus.doctor.facts import RANGE_ERROR
+from servobus.doctor.facts import SINGLE_WRITES
 from servobus.doctor.rule import ANSWER
 from servobus.doctor.rule import Claim
 from servobus.doctor.rule import Claims
@@ -33,32 +40,29 @@ from servobus.doctor.rule import listed
 from servobus.doctor.rule import Rule
 from servobus.doctor.symptom import DAMAGE
 from servobus.doctor.symptom import SILENCE
+from servobus.doctor.thresholds import INCIDENTS_MIN
+from servobus.doctor.thresholds import STILL_MAX_STEPS
+from servobus.doctor.thresholds import TURN_STEPS
 from servobus.model.control_table import UNKNOWN
 
-S = 1_000_000_000
-FEW, TWICE = 3, 2
-RANGE, LENGTH, LIMIT, ACCESS = 4, 5, 6, 7
-TURN, POSITION_CONTROL = 4096, 3   # steps (X, MX 2.0); of Operating Mode (e-Manual)
-STANDS = 6                         # steps: a joint does not move
-WORN = 30                          # EEPROM writes in 10 s: no start-up writes as many
-POLLED = 20                        # reads of a device that was never written
-POLLED_S = 3.0
-ACKS_LEARNED = 3
-WRITES = (Instruction.WRITE, Instruction.REG_WRITE)
-OTHERWISE_S = 2.0                  # an answer to something else, so lately: it is there
-STOPPED_S = 1.2
-RESTED_S = 10.0                    # a shorter pause may be meant
-WORKED_S = 2.5                     # a program that ran so long has stopped; a command is done
+POSITION_CONTROL = 3               # a value of Operating Mode (e-Manual)
+GOALS_BEYOND_MIN = 2               # one may be a slip of a person
+EEPROM_WRITES_MIN = 30             # in 10 s: no start-up writes as many
+POLLED_MIN_READS = 20              # from a device that was never written
+POLLED_MIN_S = 3.0                 # by then each is written that will be, and models are known
+ACKS_MISSING_MIN = 3               # as the decoder learns that writes are not acknowledged
+ACKS_ONSET_S = 1.0                 # acknowledgements that get lost come again by then
+ANSWERS_OTHERWISE_S = 2.0          # an answer to something else, so lately: it is there
+STOPPED_MIN_S = 1.2
+STOPPED_WARN_S = 10.0              # a shorter pause may be meant
+WORKED_MIN_S = 2.5                 # a program that ran so long has stopped; a command is done
 NO_IDS = (0xFD, 0xFF)
 _NO_ID = ', which no device can have (0 to 252): correct the ID in its program'
 _NO_NAMES = 'so registers have no names and some causes cannot be found'
-MOSTLY = 0.7                       # share of the instructions
-ONSET_S = 1.0                      # acknowledgements that get lost come again by then
-SENT = 30                          # bytes: three packets
-SCANS = 15                         # broadcast Pings in 10 s: each needs 0.8 s
-PINGS_NS = 10 * S
-UNKNOWN_TO_IT = 2
-FAST = (Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ)
+SENT_MIN_BYTES = 30                # three packets
+SCAN_MIN_PINGS = 15                # broadcast Pings in 10 s: each needs 0.8 s
+SCAN_MIN_SHARE = 0.7               # share of the instructions
+FAST_READS = (Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ)
 HAVE_SYNC_READ = ('STS', 'SMS', 'HLS')
 # Model numbers, and the firmware from which they know fast reads: MX(2.0) never.
 _FAST_SINCE = (((30, 311, 321), 256), (range(1190, 1250), 46), (range(1000, 1400), 45),
@@ -84,7 +88,7 @@ def unread_answers(case: Case) -> Claims:
         return
     words = 'each time the program asks, bytes of earlier answers still wait to be read'
     lost = sum(device.window.missed for device in case.report.devices)
-    if case.damage + lost >= FEW:
+    if case.damage + lost >= INCIDENTS_MIN:
         yield Claim(f'{words}: it reads too few, or takes old answers for new ones; let it read '
                     'whole answers, and clear its input before it asks',
                     {'missed or damaged': case.damage + lost}, covers=tuple(case.devices))
@@ -103,14 +107,14 @@ def wrong_packets(case: Case) -> Claims:
     """Look at what a program sends, where that is heard as it wrote it."""
     report, wrong = case.report, case.incidents(ev.WRONG_PACKET)
     sent = report.counters['Bytes']
-    if len(wrong) >= FEW:
+    if len(wrong) >= INCIDENTS_MIN:
         most = Counter((one.detail.instruction, one.device) for one in wrong)
         [((code, number), _)] = most.most_common(1)
         yield Claim(f'the master asks ID {number}{_NO_ID}' if number == NO_IDS[1] else
                     f'{len(wrong)} packets of the program have a wrong checksum, CRC or Length, '
                     f'as {name_of(code)} to {number:03}: no servo takes them; correct the program',
                     {'packets': len(wrong)})
-    elif report.has_sides and not report.is_answered and sent >= SENT \
+    elif report.has_sides and not report.is_answered and sent >= SENT_MIN_BYTES \
             and report.counters['Packet Bytes'] == 0:
         what = 'correct their checksum, CRC or Length' if HEADER in report.noise else \
             'packets begin with FF FF; send them as bytes, not as text'
@@ -128,8 +132,8 @@ def impossible_id(case: Case) -> Claims:
         reads_all = number == BROADCAST and cycle.instruction == Instruction.READ
         if not reads_all and (number not in NO_IDS or number in case.devices):
             continue
-        asked = sum(stamp > case.now - PINGS_NS for stamp in cycle.stamps)
-        if asked >= FEW:
+        asked = case.times_asked(cycle)
+        if asked >= INCIDENTS_MIN:
             yield Claim(f'the master reads from ID {number}, all devices at once, which '
                         'none answers: use Sync Read' if reads_all else
                         f'the master asks ID {number}{_NO_ID}', {'asked in 10 s': asked})
@@ -159,9 +163,10 @@ def unstuffed(case: Case) -> Claims:
       accounts_for={'refused access'}).checked_by
 def eeprom_locked(case: Case, device: DeviceReport) -> Found | None:
     torque = case.values[device.id].get('Torque Enable')
-    least = _enough(case, device, FEW) if torque is None else 1    # it is on: that explains one
+    # Where it is on, that explains one.
+    least = _enough(case, device, INCIDENTS_MIN) if torque is None else 1
     for (instruction, address, error), count in _refused(case, device).items():
-        if count >= least and instruction in WRITES and _is_locked(device, address, error) \
+        if count >= least and instruction in SINGLE_WRITES and _is_locked(device, address, error) \
                 and (torque is None or torque.value.raw):
             name = device.model.by_address[address].name
             times = f'{count} times' if count > 1 else 'once'
@@ -173,7 +178,7 @@ def eeprom_locked(case: Case, device: DeviceReport) -> Found | None:
 
 def _is_locked(device: DeviceReport, address: int, error: int) -> bool:
     field = device.model.by_address.get(address)
-    return error == ACCESS and field is not None and field.memory == 'eeprom' \
+    return error == ACCESS_ERROR and field is not None and field.memory == 'eeprom' \
         and 'w' in field.access
 
 
@@ -183,10 +188,10 @@ def _is_locked(device: DeviceReport, address: int, error: int) -> bool:
       symptoms={'refused address'}).checked_by
 def wrong_address(case: Case, device: DeviceReport) -> Found | None:
     found = Counter(one.detail[1:] for one in case.incidents(ev.REFUSED, device)
-                    if one.detail.error in (ACCESS, LENGTH, RANGE)
+                    if one.detail.error in (ACCESS_ERROR, LENGTH_ERROR, RANGE_ERROR)
                     and not _is_locked(device, *one.detail[1:]))
     for (address, error), count in found.most_common(1):
-        if count >= _enough(case, device, FEW):
+        if count >= _enough(case, device, INCIDENTS_MIN):
             return Claim(f'address {address} refused {count} times '
                          f'({error_text(error)}): {_what_is_there(device, address, error)}',
                          {'refused': count})
@@ -199,7 +204,7 @@ def _what_is_there(device: DeviceReport, address: int, error: int) -> str:
         return f'{_PRO[address]} of the PRO series; use the control table of {device.model_name}'
     if field is None:
         return f'{device.model_name} has no register there; check the control table in use'
-    if error == RANGE:
+    if error == RANGE_ERROR:
         return f'the value is out of the range of {field.name}; limit it'
     return f'{field.name} ({field.access}, {field.size} bytes) does not allow this access'
 
@@ -214,10 +219,10 @@ def _what_is_there(device: DeviceReport, address: int, error: int) -> str:
 def goal_limits(case: Case, device: DeviceReport) -> Found | None:
     """Look for Data Limit errors, in Dynamixel 1.0 angle limit errors."""
     found = Counter(one.detail.address for one in case.incidents(ev.REFUSED, device)
-                    if one.detail.error == LIMIT and one.detail.instruction in WRITES)
+                    if one.detail.error == LIMIT_ERROR and one.detail.instruction in SINGLE_WRITES)
     for address, count in found.most_common(1):
         field = device.model.by_address.get(address)
-        if count >= _enough(case, device, TWICE):
+        if count >= _enough(case, device, GOALS_BEYOND_MIN):
             name = field.name if field else f'address {address}'
             return Claim(f'value for {name} refused, beyond its limits: keep goals '
                          'within these, or set wider ones (as Max Position Limit)',
@@ -233,17 +238,18 @@ def _goals_beyond(case: Case, device: DeviceReport) -> Found | None:
     if device.model.protocol == FEETECH.protocol and (mode is None or not mode.value.raw):
         return _goals_held_back(case, device)
     if device.model.protocol != '2' \
-            or round(TURN * (goal.field.scale or 0), 2) != 6.28 \
+            or round(TURN_STEPS * (goal.field.scale or 0), 2) != 6.28 \
             or (mode is not None and mode.value.raw != POSITION_CONTROL):
         return None
     samples = case.samples.get(device.id, ())
-    beyond = [one for one in samples if one.goal is not None and not 0 <= one.goal < TURN]
+    beyond = [one for one in samples if one.goal is not None and not 0 <= one.goal < TURN_STEPS]
     places = [one.position for one in beyond if one.position is not None]
-    still = sum(0 <= two < TURN and abs(one - two) <= STANDS for one, two in pairwise(places))
-    if len(beyond) < TWICE or (mode is None and (      # in another mode it would go there
-            still < TWICE or {*places}.issuperset(one.position for one in samples))):
+    still = sum(0 <= two < TURN_STEPS and abs(one - two) <= STILL_MAX_STEPS
+                for one, two in pairwise(places))
+    if len(beyond) < GOALS_BEYOND_MIN or (mode is None and (   # in another mode it would go there
+            still < GOALS_BEYOND_MIN or {*places}.issuperset(one.position for one in samples))):
         return None
-    return Claim(f'goals beyond 0 to {TURN - 1} are sent, which Position Control Mode '
+    return Claim(f'goals beyond 0 to {TURN_STEPS - 1} are sent, which Position Control Mode '
                  'refuses: keep them within, or set Extended Position Control Mode',
                  {'the last': beyond[-1].goal}, rests_on=('Goal Position', 'Operating Mode'))
 
@@ -255,7 +261,7 @@ def _goals_held_back(case: Case, device: DeviceReport) -> Found | None:
         case.values[device.id].get, limits))
     beyond = {one.goal for one in case.samples.get(device.id, ())
               if one.goal is not None and not low <= one.goal <= high}
-    if not low < high or len(beyond) < TWICE:
+    if not low < high or len(beyond) < GOALS_BEYOND_MIN:
         return None                            # without limits both are 0
     return Claim(f'goals beyond its limits of {low} to {high} are sent: it stops '
                  'there; keep goals within them, or set wider ones (Min and Max Position Limit)',
@@ -272,7 +278,7 @@ def refused(case: Case, device: DeviceReport) -> Found | None:
     if device.model.number is not None:
         return None
     for (instruction, address, error), count in _refused(case, device).most_common(1):
-        if count >= FEW and address >= 0:
+        if count >= INCIDENTS_MIN and address >= 0:
             return Claim(f'refuses {name_of(instruction)} at {address} '
                          f'({error_text(error)}): set its model in {case.names.devices} to learn '
                          'which register that is', {'refused': count})
@@ -299,16 +305,16 @@ def _enough(case: Case, device: DeviceReport, few: int) -> int:
       symptoms={'proof'}).checked_by
 def master_stopped(case: Case) -> Claims:
     report = case.report
-    if case.quiet_s < STOPPED_S or (report.last_byte_s or 0.0) < STOPPED_S \
-            or report.stamp - report.deaf < STOPPED_S * S:
+    if case.quiet_s < STOPPED_MIN_S or (report.last_byte_s or 0.0) < STOPPED_MIN_S \
+            or report.stamp - report.deaf < STOPPED_MIN_S * NS_PER_S:
         return                                 # a closed port hears no master
-    since = (report.asked - case.run_from) / S
-    if since < WORKED_S:
+    since = (report.asked - case.run_from) / NS_PER_S
+    if since < WORKED_MIN_S:
         return                                 # a command, and it is done
     yield Claim(f'the master stopped after it had asked for {since:.1f} s: check its '
                 'program; device states date from then',
                 {'stopped after (s)': f'{since:.1f}'},
-                Level.OK if case.quiet_s < RESTED_S else None)
+                Level.OK if case.quiet_s < STOPPED_WARN_S else None)
 
 
 @Rule(seen='many IDs pinged; WARN if broadcast Pings collide',
@@ -318,13 +324,12 @@ def master_stopped(case: Case) -> Claims:
       accounts_for={'damaged packets', 'damaged answers', 'stray bytes', 'damaged first bytes',
                     'uneven rhythm'}).checked_by
 def scan(case: Case) -> Claims:
-    stamps = [stamp for cycle in case.report.cycles for stamp in cycle.stamps
-              if stamp > case.now - PINGS_NS
-              and cycle.instruction == Instruction.PING and cycle.ids == (BROADCAST,)]
-    pings = len(stamps)
-    if pings >= SCANS or (pings >= FEW and case.damage >= FEW and pings > MOSTLY * case.counted(
-            'instructions')):
-        collide = case.damage >= FEW
+    pings = sum(map(case.times_asked, [
+        cycle for cycle in case.report.cycles
+        if cycle.instruction == Instruction.PING and cycle.ids == (BROADCAST,)]))
+    collide = case.damage >= INCIDENTS_MIN
+    if pings >= SCAN_MIN_PINGS or (collide and pings >= INCIDENTS_MIN
+                                   and pings > SCAN_MIN_SHARE * case.counted('instructions')):
         yield Claim('the master sends broadcast Pings without a '
                     f"pause{', and the answers collide' if collide else ''}: let it wait "
                     '0.8 s after each, the time that all IDs need',
@@ -345,7 +350,7 @@ def models(case: Case) -> Claims:
     for device in case.report.devices:
         if device.model.number is None and device.last_heard_s is not None:
             found.setdefault(_registers(device, _NO_NAMES), []).append(device.id)
-    if found and case.heard_s >= POLLED_S:
+    if found and case.heard_s >= POLLED_MIN_S:
         known = '; '.join(f'{listed(ids, 3)}: model not known, {registers}'
                           for registers, ids in found.items())
         yield Doubt(f'{known}; add ID:MODEL to {case.names.devices}, or let your program '
@@ -381,7 +386,7 @@ def _remedy(device: DeviceReport, names: Names) -> str:
       accounts_for={'joint at rest'}).checked_by
 def eeprom_wear(case: Case, device: DeviceReport) -> Found | None:
     count = device.window.eeprom_writes
-    if count < WORN:
+    if count < EEPROM_WRITES_MIN:
         return None
     hours = 100_000 / (count / 10) / 3600
     return Claim(f'EEPROM written {count} times in 10 s: it lasts about 100 000 '
@@ -391,18 +396,19 @@ def eeprom_wear(case: Case, device: DeviceReport) -> Found | None:
 
 @Rule(seen='no answers to writes: Status Return Level 1; WARN where the program ended on that',
       remedy='nothing, if the master knows; else level 2',
-      level=Level.OK, onset_s=ONSET_S, holds=False, each=True,
+      level=Level.OK, onset_s=ACKS_ONSET_S, holds=False, each=True,
       symptoms={'no acknowledgements'},
       accounts_for={'missed answers', 'silent device'}).checked_by
 def no_acks(case: Case, device: DeviceReport) -> Found | None:
     last = ended_on(case)
-    has_ended = last is not None and last.device == device.id and last.instruction in WRITES \
-        and device.acks is None and device.totals.answers > device.totals.pongs
-    if not has_ended and (not case.lately(device, OTHERWISE_S).answers
-                          or device.missed_in_a_row > ACKS_LEARNED):
+    has_ended = last is not None and last.device == device.id and device.acks is None \
+        and last.instruction in SINGLE_WRITES and device.totals.answers > device.totals.pongs
+    if not has_ended and (not case.lately(device, ANSWERS_OTHERWISE_S).answers
+                          or device.missed_in_a_row > ACKS_MISSING_MIN):
         return None                            # it answers nothing at present
-    unanswered = case.count(ev.ACKS_STOPPED, device) or device.acks_missing >= ACKS_LEARNED
-    if device.acks and device.acks_missing < ACKS_LEARNED:
+    are_missing = device.acks_missing >= ACKS_MISSING_MIN
+    unanswered = case.count(ev.ACKS_STOPPED, device) or are_missing
+    if device.acks and not are_missing:
         return None                            # it does again: some were lost
     if not (has_ended or unanswered or device.status_return_level in (0, 1)):
         return None
@@ -419,9 +425,9 @@ def no_acks(case: Case, device: DeviceReport) -> Found | None:
       level=Level.OK, each=True,
       symptoms={'no writes'}).checked_by
 def never_written(case: Case, device: DeviceReport) -> Found | None:
-    if device.totals.writes or device.totals.reads < POLLED \
+    if device.totals.writes or device.totals.reads < POLLED_MIN_READS \
             or 'Goal Position' not in device.model.by_name \
-            or case.heard_s < POLLED_S or not device.window.answers:
+            or case.heard_s < POLLED_MIN_S or not device.window.answers:
         return None
     written = [one.id for one in case.report.devices if one.window.writes]
     if not written:
@@ -443,8 +449,8 @@ def fast_read_unsupported(case: Case) -> Claims:
     """Look at the first device of each fast read that never gave its part of one."""
     known = set()
     for cycle in case.report.cycles:
-        if cycle.instruction not in FAST or not cycle.stamps or cycle.asked < FEW \
-                or case.now - cycle.stamps[-1] > 2 * S:
+        if cycle.instruction not in FAST_READS or not cycle.stamps or cycle.asked < INCIDENTS_MIN \
+                or case.now - cycle.stamps[-1] > 2 * NS_PER_S:
             continue
         first = next((number for number in cycle.ids if number in case.devices
                       and not case.devices[number].totals.fast_answers), None)
@@ -456,11 +462,11 @@ def fast_read_unsupported(case: Case) -> Claims:
 
 
 def _fast_read(case: Case, device: DeviceReport, cycle: Cycle) -> Found | None:
-    refused = sum(one.detail.instruction in FAST and one.detail.error == UNKNOWN_TO_IT
+    refused = sum(one.detail.instruction in FAST_READS and one.detail.error == INSTRUCTION_ERROR
                   for one in case.incidents(ev.REFUSED, device))
     is_able = device.firmware is not None and not _lacks_fast_reads(device) \
-        and case.lately(device, OTHERWISE_S).answers < FEW
-    if refused < FEW and (is_able or not device.totals.answers):
+        and case.lately(device, ANSWERS_OTHERWISE_S).answers < INCIDENTS_MIN
+    if refused < INCIDENTS_MIN and (is_able or not device.totals.answers):
         return None                            # perhaps it is not there
     firmware = '' if device.firmware is None else f', firmware {device.firmware}'
     after = cycle.ids[cycle.ids.index(device.id):]
@@ -490,11 +496,12 @@ def sync_read_unsupported(case: Case) -> Claims:
     if case.count(ev.UNASKED) or not (
             is_feetech or case.report.protocol in (DYNAMIXEL_1.name, UNDECIDED.name)):
         return
-    answered = sum(device.totals.answers for device in case.report.devices)
+    if sum(device.totals.answers for device in case.report.devices) < INCIDENTS_MIN:
+        return
     for cycle in case.report.cycles:
-        asked = sum(stamp > case.now - OTHERWISE_S * S for stamp in cycle.stamps)
-        if cycle.instruction == Instruction.SYNC_READ and asked >= FEW and answered >= FEW \
-                and (not is_feetech or _answer_all_else(case, cycle)):
+        if cycle.instruction == Instruction.SYNC_READ \
+                and case.times_asked(cycle, ANSWERS_OTHERWISE_S) >= INCIDENTS_MIN and (
+                    not is_feetech or _answer_all_else(case, cycle)):
             yield Claim('the master sends Sync Reads, which Dynamixel has in Protocol 2.0 '
                         'only, and Feetech SCS not at all: none is answered, other instructions '
                         'are; read one after the other',
@@ -505,7 +512,7 @@ def _answer_all_else(case: Case, cycle: Cycle) -> bool:
     """Tell whether Feetech servos may lack Sync Read: each answers, and never this one."""
     members = [case.devices[number] for number in cycle.ids if number in case.devices]
     return cycle.missed >= cycle.asked - 1 and bool(members) and all(
-        case.lately(one, OTHERWISE_S).answers >= FEW
+        case.lately(one, ANSWERS_OTHERWISE_S).answers >= INCIDENTS_MIN
         and not one.model_name.startswith(HAVE_SYNC_READ) for one in members)
 
 

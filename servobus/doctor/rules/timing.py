@@ -20,6 +20,8 @@ from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import name_of
 from msg_defs.reports import Level
 from msg_defs.uart import byte_ns
+from msg_defs.units import NS_PER_MS
+from msg_defs.units import NS_PER_S
 from servobus.bus import evidence as ev
 from servobus.bus.report import Cycle
 from servobus.bus.report import DeviceReport
@@ -32,10 +34,10 @@ from servobus.doctor.facts import laid_over_answers
 from servobus.doctor.facts import ran_into_answers
 from servobus.doctor.facts import read_late
 from servobus.doctor.rhythm import answer_ns
-from servobus.doctor.rhythm import AT_ONCE_NS
 from servobus.doctor.rhythm import is_independent
 from servobus.doctor.rhythm import is_locked
 from servobus.doctor.rhythm import is_multiple
+from servobus.doctor.rhythm import REPEAT_WITHIN_NS
 from servobus.doctor.rhythm import Rhythm
 from servobus.doctor.rhythm import WRITES
 from servobus.doctor.rule import Claim
@@ -47,38 +49,39 @@ from servobus.doctor.rule import listed
 from servobus.doctor.rule import Rule
 from servobus.doctor.symptom import DAMAGE
 from servobus.doctor.symptom import SILENCE
+from servobus.doctor.thresholds import INCIDENTS_MIN
+from servobus.doctor.thresholds import WINDOW_S
 
-S = 1_000_000_000
-MS = 1_000_000
-FEW = 3
-TOGETHER_NS = 3 * MS               # late answers closer than this belong to one
-FOREIGN_ENOUGH = 3               # instructions of another master that came to this one
-LOADED = 75.0                      # % of the wire time: the rest leaves no room for a retry
-LOAD_S = 3.0
-BLURRED = 3                        # times the resolution: what is narrower is not a finding
-DELAY_MS = (0.4, 0.7)              # a Return Delay Time of 500 us, as measured
-BLUR_MS = 0.15
-SAMPLES = 5
-JITTERY = 0.5                      # spread of the cycle
+SAME_LATENESS_NS = 3 * NS_PER_MS    # late answers closer than this belong to one
+LOAD_BUSY_PERCENT = 75.0           # wire time: the rest leaves no room for a retry
+LOAD_WINDOW_S = 3.0
+BLUR_FACTOR = 3                    # times the resolution: what is narrower is not a finding
+RETURN_DELAY_MS = (0.4, 0.7)       # a Return Delay Time of 500 us, as measured
+RETURN_DELAY_SPREAD_MS = 0.15      # a delay that is set varies less than one of an adapter
+RETURN_DELAY_MIN_ANSWERS = 5
+JITTER_MIN_SPREAD = 0.5            # relative to the cycle
 JITTER_ONSET_S = 3.0               # a computer that is busy for a moment is not a finding
-LATENCY_MS = (15.0, 18.5)          # a latency timer of 16 ms, and what its host adds
-SLOW_PER_S = 70                    # answers; with 16 ms each there cannot be more
+LATENCY_TIMER_MS = (15.0, 18.5)    # a latency timer of 16 ms, and what its host adds
+LATENCY_TIMER_MAX_PER_S = 70       # answers; with 16 ms each there cannot be more
+LATENCY_TIMER_MIN_GAPS = 10
+LATENCY_TIMER_MIN_SHARE = 0.6      # share of the gaps
 RESOLVED_MS = 4.0                  # between chunks; else all gaps count, not those after answers
-GRID_NS = 16 * MS                  # exactly that is made by the adapter that we hear through
-HZ_60_NS = S // 60
-LATENT = 0.6                       # share of the gaps
-WAITED_S = 3.0
-LATE_S = 10.0
-NO_WAIT_US = 50                   # less than any answer takes on the wire
-MOSTLY = 0.7
-SHARE = 0.02                      # share of the answers; a busy computer delays less
-RARELY = 0.1                      # questions after a write: noise would hit as few of them
-BEHIND_NS = 2 * MS               # as far as chunks tell time
-MANY = 10                          # vain waits
-SOON_US = 500                      # Return Delay Time as from the factory (e-Manual)
-MOST = 0.5                         # share of the cycle
-SEVERAL = 3                        # Reads that one Sync Read replaces
-SLOW_MS = 0.4                      # reply latency: Return Delay Time from the factory is 0.5 ms
+ADAPTER_GRID_NS = 16 * NS_PER_MS   # exactly that is made by the adapter that we hear through
+HZ_60_NS = NS_PER_S // 60
+HZ_60_MIN_SHARE = 0.7              # share of those gaps
+WAITS_WINDOW_S = 3.0               # a master that waits in vain now
+NO_WAIT_US = 50                    # less than any answer takes on the wire
+FACTORY_DELAY_US = 500             # Return Delay Time as from the factory (e-Manual)
+HASTY_MIN_WAITS = 10               # fewer are those of damage
+HASTY_MIN_SHARE = 0.7              # share of the vain waits
+THROWN_AWAY_MIN = 10               # answers: a program may clear its input at its start
+ACKS_HIT_MIN_SHARE = 0.7           # share of the spoilt answers, which come right after a write
+AFTER_WRITE_MAX_SHARE = 0.1        # share of the questions: noise would hit as few of them
+AFTER_WRITE_NS = 2 * NS_PER_MS     # as far as chunks tell time
+LATE_MIN_SHARE = 0.02              # share of the answers; a busy computer delays less
+CYCLE_MIN_SHARE = 0.5              # share of the cycle: most of it
+SINGLE_READS_MIN = 3               # that one Sync Read replaces
+SLOW_ANSWER_MS = 0.4               # reply latency: Return Delay Time from the factory is 0.5 ms
 
 
 # --- several masters -----------------------------------------------------------------------------
@@ -93,25 +96,25 @@ SLOW_MS = 0.4                      # reply latency: Return Delay Time from the f
                     'unasked answers', 'damaged first bytes', 'absence of several'}).checked_by
 def two_masters(case: Case) -> Claims:
     foreign = case.count(ev.FOREIGN)
-    if foreign >= FOREIGN_ENOUGH:
+    if foreign >= INCIDENTS_MIN:
         yield Claim(f'the master received {foreign} instructions that it did not send: '
                     'another program uses this bus; stop '
                     'one', {'instructions': foreign})
         return
     lost = sum(one.window.missed for one in case.report.devices if one.id not in case.gone)
-    harm = lost + case.damage + case.count(ev.LATE) + FEW * case.count(ev.UNASKED)
-    if ROBBER in case.report.users or (case.report.users and harm >= FEW):
+    harm = lost + case.damage + case.count(ev.LATE) + INCIDENTS_MIN * case.count(ev.UNASKED)
+    if ROBBER in case.report.users or (case.report.users and harm >= INCIDENTS_MIN):
         yield Claim(f'{", ".join(case.report.users)} uses this port too, and answers get '
                     'lost or damaged: let only one use it',
                     {'missed answers': lost, 'damaged packets': case.damage}, is_certain=True)
         return
-    if case.report.has_sides and harm < FEW:
+    if case.report.has_sides and harm < INCIDENTS_MIN:
         return                                 # one program with two timers, or with a lock
     pair = _apart(case)
     if pair is None:
         for clocks in case.clocks:
-            fast, slow = sorted(timer.period / MS for timer in clocks.timers)
-            words = f'{_words(clocks.cycle, fast * MS)} and every {slow:.0f} ms'
+            fast, slow = sorted(timer.period / NS_PER_MS for timer in clocks.timers)
+            words = f'{_words(clocks.cycle, fast * NS_PER_MS)} and every {slow:.0f} ms'
             if is_collision(case):
                 yield _two(case, words)
             else:
@@ -125,7 +128,7 @@ def two_masters(case: Case) -> Claims:
 def _apart(case: Case) -> tuple[Rhythm, Rhythm] | None:
     """Return two instructions that keep time apart from each other."""
     ordered = sorted(case.rhythms, key=attrgetter('base'))
-    least = max(BLURRED * case.blur_ms, 1.0) * MS
+    least = max(BLUR_FACTOR * case.blur_ms, 1.0) * NS_PER_MS
     if not ordered or (not laid_over_answers(case) and (
             ordered[0].base <= least or not ordered[0].is_steady)):
         return None
@@ -150,7 +153,7 @@ def _two(case: Case, words: str) -> Claim:
 def _words(cycle: Cycle, period: float) -> str:
     whom = f'{cycle.ids[0]:03}' if len(cycle.ids) == 1 else f'{len(cycle.ids)} IDs'
     at = f' at {cycle.address}' if cycle.address is not None else ''
-    return f'{name_of(cycle.instruction)} of {whom}{at} every {period / MS:.0f} ms'
+    return f'{name_of(cycle.instruction)} of {whom}{at} every {period / NS_PER_MS:.0f} ms'
 
 
 # --- a master that does not wait, and answers that are late --------------------------------------
@@ -164,27 +167,26 @@ def _words(cycle: Cycle, period: float) -> str:
 def impatient_master(case: Case) -> Claims:
     spoilt = [wait.stamp for wait in case.report.waits if wait.is_spoilt]      # asked once more
     again = Counter(code for stamp, code in case.repeats.items()
-                    if not any(0 <= stamp - one < TOGETHER_NS for one in spoilt))
+                    if not any(0 <= stamp - one < SAME_LATENESS_NS for one in spoilt))
     again.update(one.detail.instruction for one in _hidden_repeats(case))
     again.update(one.detail.instruction for one in _repeats_into_answers(case))
-    if again.total() >= FEW + case.counted('glitches'):        # after which it asks once more
+    # After a stray byte it asks once more.
+    if again.total() >= INCIDENTS_MIN + case.counted('glitches'):
         worst = again.most_common(1)[0][0]
         words = f'the master repeats {name_of(worst)} at once, {again.total()} times in 10 s'
         yield Doubt(f'{words}, though it got whole answers: its parser may reject them') \
-            if case.report.has_sides and not case.waits(LATE_S) else \
+            if case.report.has_sides and not case.waits(WINDOW_S) else \
             Claim(f'{words}: its time-out is shorter than the answers take; raise it',
                   {'repeated': again.total()})
         return
-    hasty = [one.us for one in case.waits(WAITED_S) if not one.is_spoilt]
-    least = MOSTLY * len(case.waits(WAITED_S)) if case.report.has_sides else 0.0
-    if len(hasty) >= max(MANY, least) and median(hasty) < SOON_US and case.damage >= FEW \
-            and any(case.lately(device, WAITED_S).answers for device in case.report.devices):
+    if _gives_up_at_once(case) and case.damage >= INCIDENTS_MIN \
+            and any(case.lately(device, WAITS_WINDOW_S).answers for device in case.report.devices):
         yield Claim('the master does not wait for answers and sends during them: it gives '
-                    f'up within {SOON_US} us, before a servo with factory settings answers; '
-                    'raise its time-out', {'given up at once': len(hasty)})
+                    f'up within {FACTORY_DELAY_US} us, before a servo with factory settings '
+                    'answers; raise its time-out', {'given up at once': _gives_up_at_once(case)})
         return
     thrown = sum(one.detail.instruction not in WRITES for one in case.incidents(ev.THROWN_AWAY))
-    if thrown >= MANY:
+    if thrown >= THROWN_AWAY_MIN:
         yield Claim(f'the program asks, and throws the answers away unread, {thrown} times '
                     'in 10 s: let it wait for each answer and read it, or not ask',
                     {'answers thrown away': thrown})
@@ -197,6 +199,16 @@ def impatient_master(case: Case) -> Claims:
                     {'instructions into an acknowledgement': times})
 
 
+def _gives_up_at_once(case: Case) -> int:
+    """Return how many of the last waits ended before any answer could come, 0 if not most."""
+    waits = case.waits(WAITS_WINDOW_S)
+    hasty = [one.us for one in waits if not one.is_spoilt]
+    if len(hasty) < HASTY_MIN_WAITS or (
+            case.report.has_sides and len(hasty) < HASTY_MIN_SHARE * len(waits)):
+        return 0
+    return len(hasty) if median(hasty) < FACTORY_DELAY_US else 0
+
+
 def _questions_into_acks(case: Case) -> int:
     """
     Return how many answers were spoilt right after a write that nothing acknowledged, else 0.
@@ -204,8 +216,8 @@ def _questions_into_acks(case: Case) -> int:
     Noise would spoil the answers to other questions too; where many questions follow a
     write, the cause is unknown.
     """
-    spoilt = [wait.stamp - 1000 * wait.us for wait in case.waits(LATE_S) if wait.is_spoilt]
-    if len(spoilt) < FEW:
+    spoilt = [wait.stamp - 1000 * wait.us for wait in case.waits(WINDOW_S) if wait.is_spoilt]
+    if len(spoilt) < INCIDENTS_MIN:
         return 0
     writes = sorted(stamp for cycle in case.report.cycles for stamp in cycle.stamps
                     if cycle.instruction == Instruction.WRITE and not _acknowledges(case, cycle))
@@ -213,8 +225,8 @@ def _questions_into_acks(case: Case) -> int:
              for stamp in cycle.stamps]
     times = sum(_is_after(writes, stamp) for stamp in spoilt)
     usual = sum(_is_after(writes, stamp) for stamp in asked)
-    return times if times >= max(FEW, MOSTLY * len(spoilt)) \
-        and usual <= RARELY * len(asked) else 0
+    return times if times >= max(INCIDENTS_MIN, ACKS_HIT_MIN_SHARE * len(spoilt)) \
+        and usual <= AFTER_WRITE_MAX_SHARE * len(asked) else 0
 
 
 def _acknowledges(case: Case, cycle: Cycle) -> bool:
@@ -224,8 +236,8 @@ def _acknowledges(case: Case, cycle: Cycle) -> bool:
 
 def _is_after(writes: list[int], stamp: int) -> bool:
     """Tell whether a write came so shortly before that its answer was still due."""
-    at = bisect_right(writes, stamp + BEHIND_NS)
-    return at > 0 and writes[at - 1] >= stamp - BEHIND_NS
+    at = bisect_right(writes, stamp + AFTER_WRITE_NS)
+    return at > 0 and writes[at - 1] >= stamp - AFTER_WRITE_NS
 
 
 def _repeats_into_answers(case: Case) -> list[Incident[ev.Again]]:
@@ -238,7 +250,7 @@ def _repeats_into_answers(case: Case) -> list[Incident[ev.Again]]:
         return []
     longest: dict[int, float] = {}
     for cycle in case.report.cycles:
-        within = 1.2 * answer_ns(cycle, case.report.baud) + AT_ONCE_NS
+        within = 1.2 * answer_ns(cycle, case.report.baud) + REPEAT_WITHIN_NS
         longest[cycle.instruction] = max(within, longest.get(cycle.instruction, 0.0))
     return [one for one in case.incidents(ev.REPEATED)
             if 1000 * one.detail.us < longest.get(one.detail.instruction, 0.0)]
@@ -252,7 +264,7 @@ def _hidden_repeats(case: Case) -> list[Incident[ev.Code]]:
     """
     again = case.incidents(ev.ANSWERED_AGAIN)
     first = again[:1] + [one for before, one in pairwise(again)
-                         if one.stamp - before.stamp > TOGETHER_NS]
+                         if one.stamp - before.stamp > SAME_LATENESS_NS]
     if len({one.device for one in again}) < 2 \
             or len(first) < 2 * case.count(ev.DAMAGED_INSTRUCTION):
         return []
@@ -269,20 +281,22 @@ def late_answers(case: Case) -> Claims:
     first: Counter[int] = Counter()
     before = 0
     for one in late:
-        if one.stamp - before > TOGETHER_NS:
+        if one.stamp - before > SAME_LATENESS_NS:
             first[one.device] += 1
         before = one.stamp
     for number, count in [(fatal.device, 1)] if fatal else first.most_common(1):
         device = case.devices.get(number)
-        if not fatal and (count < FEW or (device is not None and (
-                device.window.not_served >= count or count < SHARE * device.window.asked))):
+        if not fatal and (count < INCIDENTS_MIN or (device is not None and (
+                device.window.not_served >= count
+                or count < LATE_MIN_SHARE * device.window.asked))):
             return
         if _is_cut_short(case):
             yield Doubt('the next instruction comes during its answers: two programs, one '
                         'that does not wait, or two devices with this ID', device=number)
         else:
             known = [one.us for one in case.report.waits]
-            also = sorted(one for one, times in first.items() if times >= FEW and one != number)
+            also = sorted(one for one, times in first.items()
+                          if times >= INCIDENTS_MIN and one != number)
             yield Claim('answers after the master gave up, during the next instruction'
                         f'{f", as {listed(also, 2)} do" if also else ""}: raise the time-out, or '
                         'lower its Return Delay Time',
@@ -293,8 +307,9 @@ def late_answers(case: Case) -> Claims:
 
 def _is_cut_short(case: Case) -> bool:
     """Tell whether questions came as no wait for an answer ends, so that none was given up."""
-    waits = [one.us for one in case.waits(LATE_S) if not one.is_spoilt]
-    return bool(waits) and median(waits) < (SOON_US if case.report.has_sides else NO_WAIT_US)
+    waits = [one.us for one in case.waits(WINDOW_S) if not one.is_spoilt]
+    return bool(waits) and median(waits) < (
+        FACTORY_DELAY_US if case.report.has_sides else NO_WAIT_US)
 
 
 @Rule(seen='answers of the wrong length',
@@ -303,7 +318,7 @@ def _is_cut_short(case: Case) -> bool:
       symptoms={'wrong length'}).checked_by
 def wrong_length(case: Case, device: DeviceReport) -> Found | None:
     wrong = case.incidents(ev.WRONG_SIZE, device)
-    if len(wrong) < FEW or 4 * case.count(ev.LATE, device) > len(wrong):
+    if len(wrong) < INCIDENTS_MIN or 4 * case.count(ev.LATE, device) > len(wrong):
         return None
     size, asked = wrong[-1].detail.got, wrong[-1].detail.wanted
     return Claim(f'answers {size} bytes to a read of {asked}: its firmware is at '
@@ -320,38 +335,41 @@ def wrong_length(case: Case, device: DeviceReport) -> Found | None:
       accounts_for={'uneven rhythm', 'slow cycle'}).checked_by
 def latency_timer(case: Case) -> Claims:
     answers = [answer_ns(cycle, case.report.baud) for cycle in case.report.cycles]
-    answered = sum(len(cycle.stamps) - bisect_right(cycle.stamps, case.now - S)
+    answered = sum(len(cycle.stamps) - bisect_right(cycle.stamps, case.now - NS_PER_S)
                    for cycle, answer in zip(case.report.cycles, answers, strict=True) if answer)
-    if answered > SLOW_PER_S + 1:              # before all is sorted: it is so on a fast bus
+    if answered > LATENCY_TIMER_MAX_PER_S + 1:     # before all is sorted: it is a fast bus
         return
     if case.report.cycle is not None and case.report.cycle.asleep > case.report.cycle.device:
         return                                 # when the answers came is unknown
     # In one chunk a write comes first: a question would have had to wait for its answer.
     stamps = sorted((stamp, answers[number], number)
                     for number, cycle in enumerate(case.report.cycles)
-                    for stamp in cycle.stamps if stamp > case.now - S)
+                    for stamp in cycle.stamps if stamp > case.now - NS_PER_S)
     is_coarse = case.blur_ms > RESOLVED_MS
     gaps = [((number, following), two - one, answer)
             for (one, answer, number), (two, _, following) in pairwise(stamps)
             if answer or is_coarse]
-    if len(gaps) > SLOW_PER_S:
+    if len(gaps) > LATENCY_TIMER_MAX_PER_S:
         return
     latent = [(kinds, gap) for kinds, gap, answer in gaps if any(
-        LATENCY_MS[0] <= rest / MS <= LATENCY_MS[1] for rest in (gap, gap - answer))]
-    if is_coarse and all(abs(gap - GRID_NS) < GRID_NS // 1000 for _, gap in latent):
+        LATENCY_TIMER_MS[0] <= rest / NS_PER_MS <= LATENCY_TIMER_MS[1]
+        for rest in (gap, gap - answer))]
+    if is_coarse and all(
+            abs(gap - ADAPTER_GRID_NS) < ADAPTER_GRID_NS // 1000 for _, gap in latent):
         return
     if case.report.has_sides and not any(
-            known is not None and known.p50 > LATENCY_MS[0] / 2
+            known is not None and known.p50 > LATENCY_TIMER_MS[0] / 2
             for one in case.report.devices for known in [one.latency.window]):
         return                                 # the answers were there long before
     if latent and sum(abs(gap - HZ_60_NS) < HZ_60_NS // 100 for _, gap in latent) \
-            >= MOSTLY * len(latent):
+            >= HZ_60_MIN_SHARE * len(latent):
         yield Doubt('instructions come every 16.7 ms: a loop at 60 Hz, or a latency timer '
                     'of 16 ms in the adapter of the master')
         return
     slow = [kinds for kinds, _ in latent]
-    other = any(number != following for number, following in slow)
-    if len(slow) >= 10 and len(slow) >= LATENT * len(gaps) and other:
+    if len(slow) < LATENCY_TIMER_MIN_GAPS or len(slow) < LATENCY_TIMER_MIN_SHARE * len(gaps):
+        return
+    if any(number != following for number, following in slow):
         yield Claim('most instructions come 16 ms after the previous answer: the latency '
                     "timer of the master's adapter; set it to 1 ms",
                     {'16 ms later': f'{len(slow)} of {len(gaps)}'})
@@ -363,18 +381,19 @@ def latency_timer(case: Case) -> Claims:
       symptoms={'busy line'},
       accounts_for={'uneven rhythm', 'two rhythms', 'hasty instructions', 'slow cycle'}).checked_by
 def bus_too_slow(case: Case) -> Claims:
-    seconds = (case.now - case.mark(LOAD_S).stamp) / S
-    got = case.counted('bytes', LOAD_S)
+    seconds = (case.now - case.mark(LOAD_WINDOW_S).stamp) / NS_PER_S
+    got = case.counted('bytes', LOAD_WINDOW_S)
     if seconds < 1.0:
         return
-    load = 100 * got * byte_ns(case.report.baud) / S / seconds
-    if load > LOADED:
+    load = 100 * got * byte_ns(case.report.baud) / NS_PER_S / seconds
+    if load > LOAD_BUSY_PERCENT:
         steady = next(iter(case.rhythms), None)
-        per_cycle = f', {got / seconds * steady.period / S:.0f} bytes per cycle' if steady else ''
+        per_cycle = '' if steady is None else \
+            f', {got / seconds * steady.period / NS_PER_S:.0f} bytes per cycle'
         harm = case.damage or any(device.window.missed and not device.missed_in_a_row
                                   for device in case.report.devices)      # one is not just dead
-        yield Claim(f'the line is busy for more than {LOADED:.0f} % of the time{per_cycle}: '
-                    'no room for a retry; raise the baud rate, or read less',
+        yield Claim(f'the line is busy for more than {LOAD_BUSY_PERCENT:.0f} % of the '
+                    f'time{per_cycle}: no room for a retry; raise the baud rate, or read less',
                     {'load (%)': f'{load:.0f}', 'bytes per second': f'{got / seconds:.0f}'},
                     Level.WARN if harm else Level.OK)
 
@@ -390,14 +409,16 @@ def return_delay(case: Case) -> Claims:
         delay_ms = register.value.number * 1000 if register and register.value.number is not None \
             else None
         measured = _measured_ms(device)
-        if (delay_ms or 0.0) >= DELAY_MS[0] or (delay_ms is None and measured is not None
-                                                and DELAY_MS[0] <= measured <= DELAY_MS[1]):
+        low, high = RETURN_DELAY_MS
+        if (delay_ms or 0.0) >= low or (
+                delay_ms is None and measured is not None and low <= measured <= high):
             yield _delay_claim(case, device, delay_ms, measured)
 
 
 def _measured_ms(device: DeviceReport) -> float | None:
     summary = device.latency.window or device.latency.total
-    if summary is None or summary.count < SAMPLES or summary.p95 - summary.p50 > BLUR_MS:
+    if summary is None or summary.count < RETURN_DELAY_MIN_ANSWERS \
+            or summary.p95 - summary.p50 > RETURN_DELAY_SPREAD_MS:
         return None
     return summary.p50
 
@@ -422,22 +443,23 @@ def _delay_claim(case: Case, device: DeviceReport, delay_ms: float | None,
       accounts_for={'slow cycle'}).checked_by
 def jitter(case: Case) -> Claims:
     rhythms = case.rhythms
-    if not rhythms or case.waits(WAITED_S):
+    if not rhythms or case.waits(WAITS_WINDOW_S):
         return
     fastest = min(one.base for one in rhythms)
     often = [one for one in rhythms if one.base <= 2 * fastest]
-    if min(one.spread for one in often) <= JITTERY:
+    if min(one.spread for one in often) <= JITTER_MIN_SPREAD:
         return
     best = min(often, key=attrgetter('jitter'))
     ordered = sorted(best.periods)
     edge = len(ordered) // 10
-    low, high = ordered[edge] / MS, ordered[-1 - edge] / MS
-    if best.jitter > JITTERY and high - low > BLURRED * case.blur_ms \
+    low, high = ordered[edge] / NS_PER_MS, ordered[-1 - edge] / NS_PER_MS
+    if best.jitter > JITTER_MIN_SPREAD and high - low > BLUR_FACTOR * case.blur_ms \
             and (key_of(best.cycle) in case.steady or best.is_paced):
         yield Claim("the master's cycle is no longer regular: its computer is busy, or its "
                     'loop does too much; give it a higher priority',
                     {'spread': f'{best.spread:.2f}',
-                     'cycle (ms)': f'{low:.1f} to {high:.1f}, usually {best.period / MS:.1f}'})
+                     'cycle (ms)': f'{low:.1f} to {high:.1f}, '
+                                   f'usually {best.period / NS_PER_MS:.1f}'})
 
 
 @Rule(seen='more than half of each cycle is work of the program (not a pause between cycles), '
@@ -451,8 +473,8 @@ def cycle_time(case: Case) -> Claims:
     times = case.report.cycle
     if times is None or times.unknown:
         return
-    most = MOST * times.cycle
-    of_loop = [one for one in case.rhythms if one.period < 2 * MS * times.cycle]
+    most = CYCLE_MIN_SHARE * times.cycle
+    of_loop = [one for one in case.rhythms if one.period < 2 * NS_PER_MS * times.cycle]
     if times.asleep > most:
         yield Claim(f'{times.asleep:.0f} of {times.cycle:.0f} ms of each cycle the program lets '
                     'answers wait: let it read at once as many bytes as come, with a time-out; '
@@ -466,7 +488,7 @@ def cycle_time(case: Case) -> Claims:
         yield Claim('most of each cycle is a time-out for its answer: leave '
                     'it out, or shorten the time-out', device=times.waiting[0][0])
     elif times.wire + times.device > most:
-        yield from (Claim(todo) for todo in _faster(case, 2 * MS * times.cycle))
+        yield from (Claim(todo) for todo in _faster(case, 2 * NS_PER_MS * times.cycle))
 
 
 def _faster(case: Case, within_ns: float) -> Iterator[str]:
@@ -477,10 +499,10 @@ def _faster(case: Case, within_ns: float) -> Iterator[str]:
     reads = max(alike.values(), default=0)
     slow = max((one.latency.window.p50 for one in case.report.devices if one.latency.window),
                default=0.0)
-    if reads >= SEVERAL and '1.0' not in case.report.protocol:     # it has no Sync Read
+    if reads >= SINGLE_READS_MIN and '1.0' not in case.report.protocol:     # it has no Sync Read
         yield (f'{reads} servos are read one by one, which is most of each cycle: use one Sync '
                'Read for all')
-    elif slow > SLOW_MS:
+    elif slow > SLOW_ANSWER_MS:
         yield ('most of each cycle is waiting for answers that do come: set the latency timer of '
                'the adapter to 1 ms and Return Delay Time to 0')
 
