@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from collections.abc import Sequence
+from inspect import getdoc
 from pathlib import Path
 import sys
 
@@ -320,7 +321,8 @@ def doctor() -> str:
 
 def _finding_row(rule: Rule) -> tuple[str, ...]:
     subject = '' if rule.subject == 'device' else f', {rule.subject}'
-    return f'`{rule.name}` {rule.level.name}{subject}', rule.seen, rule.remedy
+    seen, remedy = ' '.join((getdoc(rule.check) or '').split()).removesuffix('.').split('. Do: ')
+    return f'`{rule.name}` {rule.level.name}{subject}', seen, remedy
 
 
 PAGES = {'docs/parameters.md': parameters, 'docs/diagnostics.md': diagnostics,

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The doctor by itself: how claims stand, fall and hide others; docs/doctor.md has each."""
 
+from dataclasses import replace
 from pathlib import Path
 import re
 import struct
@@ -69,8 +70,7 @@ def saying(*claims, until=1 << 60):
 
 
 def rule(name, check, *effects, level=Level.WARN, holds=True):
-    return Rule('', '', symptoms={name}, accounts_for={*effects}, level=level, holds=holds,
-                name=name, check=check)
+    return Rule({name}, {*effects}, level=level, holds=holds, name=name, check=check)
 
 
 def names(report):
@@ -84,7 +84,7 @@ def test_a_claim_outlives_its_evidence_a_little(monkeypatch):
 
 
 def test_what_needs_to_last_is_told_after_a_while(monkeypatch):
-    slow = rule('bad', saying(Claim('words')))._replace(onset_s=2.0)
+    slow = replace(rule('bad', saying(Claim('words'))), onset_s=2.0)
     doctor = with_rules(monkeypatch, slow)
     assert [bool(doctor.examine(plain_report(at * S)).findings) for at in range(1, 5)] \
         == [False, False, True, True]

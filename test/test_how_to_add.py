@@ -173,9 +173,13 @@ def test_a_finding(copy):
     code = copy('a finding')
     code.change('servobus/doctor/rules/devices.py',
                 ('RULES = (', """\
-@Rule(seen='no joint name', remedy='name it in `devices`', each=True,
-      symptoms={'proof'}).checked_by
+@Rule(each_device=True, symptoms={'proof'})
 def nameless(case: Case, device: DeviceReport) -> Found | None:
+    \"\"\"
+    No joint name.
+
+    Do: name it in `devices`.
+    \"\"\"
     return None if device.joint else Claim('it has no joint name; give it one')
 
 

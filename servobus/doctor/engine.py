@@ -130,7 +130,7 @@ def _finding(one: Standing) -> Finding:
 def found_by(rule: Rule, case: Case) -> list[Found]:
     """Return what a rule finds, where what it needs is known."""
     try:
-        if not (rule.each or rule.noted):
+        if not (rule.each_device or rule.needs_incident):
             return [*rule.check(case)]
         return [found._replace(device=device.id) for device in _whom(rule, case)
                 if (found := rule.check(case, device)) is not None]
@@ -142,8 +142,8 @@ def found_by(rule: Rule, case: Case) -> list[Found]:
 def _whom(rule: Rule, case: Case) -> Iterator[DeviceReport]:
     """Yield the devices that a rule is asked of."""
     devices = case.report.devices
-    if rule.noted:
-        numbers = {one.device for kind in rule.noted for one in case.incidents(kind)}
+    if rule.needs_incident:
+        numbers = {one.device for kind in rule.needs_incident for one in case.incidents(kind)}
         devices = tuple([device for device in devices if device.id in numbers])
     for device in devices:
         if (device.model.protocol in rule.protocols or not rule.protocols) \

@@ -7,11 +7,15 @@ A claim names a cause; a doubt says that the evidence is there and does not deci
 of time before the case: how long a claim lasts is the Doctor's.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Iterator
 from collections.abc import Mapping
 from collections.abc import Set
+from dataclasses import dataclass
+from dataclasses import replace
 from math import log
 from typing import Any
 from typing import NamedTuple
@@ -61,36 +65,36 @@ Found = Claim | Doubt
 Claims = Iterator[Found]
 
 
-class Rule(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Rule:
     """
-    One cause, as docs/doctor.md has it: what is seen, what to do, whom it is about.
+    One cause: a decorator of the check that finds it, which has its name.
 
-    symptoms: what its findings consist of; accounts_for: symptoms that follow from them, of its
-    device and those that a claim covers, and of the bus; those of all, where it is about the bus.
+    The docstring of the check is its row in docs/doctor.md: what is seen, and what to do.
+    accounts_for: symptoms that follow, of the device of a claim and those that it covers, and of
+    the bus; those of all devices, where it is about the bus.
     """
 
-    seen: str
-    remedy: str
-    subject: str = 'device'        # or 'bus', or both
-    symptoms: Set[Symptom] = frozenset()
+    symptoms: Set[Symptom]         # what its findings consist of
     accounts_for: Set[Symptom] = frozenset()
+    subject: str = 'device'        # or 'bus', or both
     level: Level = Level.WARN
     onset_s: float = 0.0           # claimed without a break for so long, before it is reported
     holds: bool = True             # lasts some seconds longer than its evidence; a state does not
-    each: bool = False
+    each_device: bool = False
     # What it is asked of: all, or where there are such incidents, models of these protocols, a
     # model that was named: the registers alone may be known by what the program uses.
-    noted: tuple[IncidentKind[Any], ...] = ()
+    needs_incident: tuple[IncidentKind[Any], ...] = ()
     protocols: tuple[str, ...] = ()
     needs_model: bool = False
     name: str = ''                 # as in the key finding.<name>
-    # From a case to what is found; with `each` or `noted` from a case and a device to what is
-    # found of it, or None.
+    # From a case to what is found; with `each_device` or `needs_incident` from a case and a
+    # device to what is found of it, or None.
     check: Callable[..., Any] = iter
 
-    def checked_by(self, check: Callable[..., Any]) -> 'Rule':
-        """Return the rule with its check, whose name it has; written above that."""
-        return self._replace(name=check.__name__, check=check)
+    def __call__(self, check: Callable[..., Any]) -> Rule:
+        """Return the rule with its check."""
+        return replace(self, name=check.__name__, check=check)
 
 
 def share(part: float, whole: float) -> str:

@@ -55,12 +55,16 @@ _HEAT = 'Present Temperature', 'Temperature Limit'
 _ERRORS = ('Hardware Error Status', 'Error Code')
 
 
-@Rule(seen='the alert bit; WARN until Hardware Error Status is read; in the 1.0 family the '
-           'state of now',
-      remedy='remove the cause, then Reboot (Dynamixel 2.0)',
-      level=Level.ERROR, holds=False, each=True,
-      symptoms={'error bits'}).checked_by
+@Rule(level=Level.ERROR, holds=False, each_device=True,
+      symptoms={'error bits'})
 def hardware_error(_: Case, device: DeviceReport) -> Found | None:
+    """
+    The alert bit; WARN until Hardware Error Status is read.
+
+    In the 1.0 family it is the state of now.
+
+    Do: remove the cause, then Reboot (Dynamixel 2.0).
+    """
     return None if device.last_error.endswith(_OF_SUPPLY) else latched(device)
 
 
@@ -89,12 +93,15 @@ def latched(device: DeviceReport) -> Claim | None:
                  rests_on=(ANSWER,))
 
 
-@Rule(seen='Bus Watchdog has stopped it',
-      remedy='write 0 to it; write goals more often',
-      level=Level.ERROR, each=True,
+@Rule(level=Level.ERROR, each_device=True,
       symptoms={'proof'},
-      accounts_for={'refused address', 'refused access', 'joint at rest'}).checked_by
+      accounts_for={'refused address', 'refused access', 'joint at rest'})
 def watchdog(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Bus Watchdog has stopped it.
+
+    Do: write 0 to it; write goals more often.
+    """
     seen = case.values[device.id].get('Bus Watchdog')
     if seen is None:
         return None
@@ -115,11 +122,14 @@ def _is_goal(device: DeviceReport, address: int) -> bool:
     return field is not None and field.name.startswith('Goal')
 
 
-@Rule(seen='at its Temperature Limit; WARN from 5 degrees below',
-      remedy='less load, more air',
-      level=Level.ERROR,
-      symptoms={'proof'}).checked_by
+@Rule(level=Level.ERROR,
+      symptoms={'proof'})
 def too_hot(case: Case) -> Claims:
+    """
+    At its Temperature Limit; WARN from 5 degrees below.
+
+    Do: less load, more air.
+    """
     unknown = []
     for device in case.report.devices:
         temperature = last_read(case, device, _HEAT[0])
@@ -142,13 +152,15 @@ def _level(is_beyond: bool) -> Level:
     return Level.ERROR if is_beyond else Level.WARN
 
 
-@Rule(seen='outside its limits, or its error byte says so (1.0 family); WARN within 0.3 V of '
-           'them',
-      remedy='charge the battery, use thicker cables',
-      subject='device or bus', level=Level.ERROR,
+@Rule(subject='device or bus', level=Level.ERROR,
       symptoms={'voltage limit'},
-      accounts_for={'voltage limit'}).checked_by
+      accounts_for={'voltage limit'})
 def voltage(case: Case) -> Claims:
+    """
+    Outside its limits, or its error byte says so (1.0 family); WARN within 0.3 V of them.
+
+    Do: charge the battery, use thicker cables.
+    """
     unknown, pinged = [], []
     found = []
     for device in case.report.devices:
@@ -195,11 +207,14 @@ def _supply(device: DeviceReport, volts: float, is_beyond: bool, where: str) -> 
                  _level(is_beyond), device=device.id, rests_on=SUPPLY)
 
 
-@Rule(seen='positions jump between 4095 and 0 while goals are sent (1.0 family)',
-      remedy='calibrate with the joint in the middle of its range',
-      each=True,
-      symptoms={'proof'}).checked_by
+@Rule(each_device=True,
+      symptoms={'proof'})
 def range_wraps(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Positions jump between 4095 and 0 while goals are sent (1.0 family).
+
+    Do: calibrate with the joint in the middle of its range.
+    """
     goal, place = map(case.values[device.id].get, ('Goal Position', 'Present Position'))
     if goal is None or goal.source != 'w' or goal.age_s > GOAL_FRESH_S \
             or goal.field.size != GOAL_BYTES \

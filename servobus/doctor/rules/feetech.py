@@ -32,12 +32,15 @@ _OF_LOCK = {'1': ('ignores it', 'switch its power off and on to unlock it'),
             FEETECH: ('forgets it at power-off', 'write 0 to Lock before it, and 1 after it')}
 
 
-@Rule(seen='Baud Rate code 5 to 7, which Feetech and LeRobot read differently',
-      remedy="look for the servo at Feetech's rate",
-      noted=(ev.BAUD_WRITTEN,), protocols=(FEETECH,),
+@Rule(needs_incident=(ev.BAUD_WRITTEN,), protocols=(FEETECH,),
       symptoms={'proof'},
-      accounts_for={*SILENCE, 'changed rate'}).checked_by
+      accounts_for={*SILENCE, 'changed rate'})
 def baud_code(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Baud Rate code 5 to 7, which Feetech and LeRobot read differently.
+
+    Do: look for the servo at Feetech's rate.
+    """
     code = case.incidents(ev.BAUD_WRITTEN, device)[-1].detail.value
     taken_for = LEROBOT_BAUDS.get(code)
     field = device.model.by_name.get('Baud Rate')      # the servo may prove to be another one
@@ -49,11 +52,14 @@ def baud_code(case: Case, device: DeviceReport) -> Found | None:
                  {'code': code})
 
 
-@Rule(seen='EEPROM written while Lock is 1',
-      remedy='write 0 to Lock before it, and 1 after it',
-      each=True, protocols=FAMILY_1,
-      symptoms={'proof'}).checked_by
+@Rule(each_device=True, protocols=FAMILY_1,
+      symptoms={'proof'})
 def lock(case: Case, device: DeviceReport) -> Found | None:
+    """
+    EEPROM written while Lock is 1.
+
+    Do: write 0 to Lock before it, and 1 after it.
+    """
     values = case.values[device.id]
     lock = values.get('Lock')
     written = [device.model.by_address[one.detail.value].name for one in
@@ -72,11 +78,14 @@ def lock(case: Case, device: DeviceReport) -> Found | None:
                  {'written': ', '.join(dict.fromkeys(written))})
 
 
-@Rule(seen='the new offset includes the old one, or was measured with it',
-      remedy='write 0 to Homing Offset, calibrate once',
-      noted=(ev.CALIBRATED, ev.OFFSET_WRITTEN),
-      symptoms={'proof'}).checked_by
+@Rule(needs_incident=(ev.CALIBRATED, ev.OFFSET_WRITTEN),
+      symptoms={'proof'})
 def calibrated_twice(case: Case, device: DeviceReport) -> Found | None:
+    """
+    The new offset includes the old one, or was measured with it.
+
+    Do: write 0 to Homing Offset, calibrate once.
+    """
     times = case.count(ev.CALIBRATED, device)
     if times >= CALIBRATIONS_MIN:
         return Claim(f'calibrated {times} times within 10 s: each time its present '
@@ -100,11 +109,14 @@ def _signed(offset: int) -> int:
     return offset if offset < OFFSET_SIGN else OFFSET_SIGN - offset
 
 
-@Rule(seen='one model with different firmware',
-      remedy='update them',
-      subject='bus',
-      symptoms={'proof'}).checked_by
+@Rule(subject='bus',
+      symptoms={'proof'})
 def mixed_firmware(case: Case) -> Claims:
+    """
+    One model with different firmware.
+
+    Do: update them.
+    """
     by_model: defaultdict[str, dict[int, str]] = defaultdict(dict)
     for device in case.report.devices:
         if device.model.protocol == FEETECH:

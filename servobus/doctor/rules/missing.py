@@ -61,13 +61,16 @@ _OF_THE_MASTER = ", and that the program uses the servos' baud rate, protocol an
 
 # --- nothing answers -----------------------------------------------------------------------------
 
-@Rule(seen='several devices restarted at once; WARN: all were silent together, and are back',
-      remedy='check battery, cable gauge, peak load',
-      subject='bus', level=Level.ERROR,
+@Rule(subject='bus', level=Level.ERROR,
       symptoms={'absence of several'},
       accounts_for={'restart', 'absence', 'missed answers', 'voltage limit', 'uneven rhythm',
-                    'joint at rest'}).checked_by
+                    'joint at rest'})
 def brown_out(case: Case) -> Claims:
+    """
+    Several devices restarted at once; WARN: all were silent together, and are back.
+
+    Do: check battery, cable gauge, peak load.
+    """
     absences = _absences(case)
     if not absences:
         return
@@ -111,14 +114,17 @@ def _dip(case: Case, number: int) -> str:
     return ''
 
 
-@Rule(seen='several devices asked, no answer for 1.5 s, or not one byte came back',
-      remedy='switch their power on, check the first cable; if the robot moves, connect the '
-             'monitor to the data line',
-      subject='bus', level=Level.ERROR, holds=False,
+@Rule(subject='bus', level=Level.ERROR, holds=False,
       symptoms={'silent bus'},
       accounts_for={'silent device', 'device not served', 'answers to Pings only',
-                    'uneven rhythm', 'slow cycle'}).checked_by
+                    'uneven rhythm', 'slow cycle'})
 def all_silent(case: Case) -> Claims:
+    """
+    Several devices asked, no answer for 1.5 s, or not one byte came back.
+
+    Do: switch their power on, check the first cable; if the robot moves, connect the monitor
+    to the data line.
+    """
     asked, heard = case.counted('instructions', GONE_S), case.counted('answers', GONE_S)
     missing = [device.id for device in case.report.devices
                if device.missed_in_a_row or is_waiting(device)]
@@ -164,12 +170,15 @@ def _hurries(case: Case, least: int = INCIDENTS_MIN) -> bool:
         (one.us for one in case.report.waits), default=ADAPTER_HOLD_US) < ADAPTER_HOLD_US
 
 
-@Rule(seen='the last two or more of `devices`, listed in cable order, are gone',
-      remedy='check the cable between the two named',
-      level=Level.ERROR, holds=False,
+@Rule(level=Level.ERROR, holds=False,
       symptoms={'silent device', 'device not served'},
-      accounts_for=SILENCE).checked_by
+      accounts_for=SILENCE)
 def broken_cable(case: Case) -> Claims:
+    """
+    The last two or more of `devices`, listed in cable order, are gone.
+
+    Do: check the cable between the two named.
+    """
     chain = [number for number in case.report.chain if number in case.devices]
     tail = 0
     while tail < len(chain) and _cut_off(case, chain[-1 - tail]):
@@ -185,22 +194,29 @@ def _cut_off(case: Case, number: int) -> bool:
     return number in case.gone or is_waiting(case.devices[number])
 
 
-@Rule(seen='the same, and devices after it in a Sync Read or Bulk Read are never read',
-      remedy='repair this one first, or take it out of the list',
-      level=Level.ERROR, holds=False,
+@Rule(level=Level.ERROR, holds=False,
       symptoms={'device not served'},
-      accounts_for={'silent device', 'missed answers', 'uneven rhythm'}).checked_by
+      accounts_for={'silent device', 'missed answers', 'uneven rhythm'})
 def sync_read_stops(case: Case) -> Claims:
+    """
+    No answer, and devices after it in a Sync Read or Bulk Read are never read.
+
+    Do: repair this one first, or take it out of the list.
+    """
     return _gone(case, True)
 
 
-@Rule(seen='more answers missed in a row than `missed_limit`; WARN where it was only written '
-           'to, and others acknowledge writes',
-      remedy='check power, plug, ID, baud rate',
-      level=Level.ERROR, holds=False,
+@Rule(level=Level.ERROR, holds=False,
       symptoms={'silent device'},
-      accounts_for={'missed answers', 'uneven rhythm'}).checked_by
+      accounts_for={'missed answers', 'uneven rhythm'})
 def no_answer(case: Case) -> Claims:
+    """
+    More answers missed in a row than `missed_limit`.
+
+    WARN where it was only written to, and others acknowledge writes.
+
+    Do: check power, plug, ID, baud rate.
+    """
     yield from _gone(case, False)
     yield from _at_the_end(case)
     for device in case.report.devices:
@@ -321,12 +337,15 @@ def _unacknowledged(case: Case) -> Claims:
 
 # --- away and back -------------------------------------------------------------------------------
 
-@Rule(seen='away, back, and restarted: torque off, Realtime Tick back, or it ignores its goal',
-      remedy='check supply and plug; set it up again',
-      level=Level.ERROR, noted=(ev.RETURNED,),
+@Rule(level=Level.ERROR, needs_incident=(ev.RETURNED,),
       symptoms={'restart'},
-      accounts_for={'absence', 'missed answers', 'uneven rhythm', 'joint at rest'}).checked_by
+      accounts_for={'absence', 'missed answers', 'uneven rhythm', 'joint at rest'})
 def rebooted(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Away, back, and restarted: torque off, Realtime Tick back, or it ignores its goal.
+
+    Do: check supply and plug; set it up again.
+    """
     if device.window.spoilt * 2 > device.window.missed:
         return None
     for one in _absences(case, device):
@@ -338,12 +357,15 @@ def rebooted(case: Case, device: DeviceReport) -> Found | None:
     return None
 
 
-@Rule(seen='silent for three questions or more, 0.1 s at least, and back; restart not proven',
-      remedy='check its plugs',
-      noted=(ev.RETURNED,),
+@Rule(needs_incident=(ev.RETURNED,),
       symptoms={'absence'},
-      accounts_for={'missed answers', 'uneven rhythm'}).checked_by
+      accounts_for={'missed answers', 'uneven rhythm'})
 def dropout(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Silent for three questions or more, 0.1 s at least, and back; restart not proven.
+
+    Do: check its plugs.
+    """
     totals = device.totals
     if device.window.spoilt * 2 > device.window.missed \
             or (totals.data_missed and totals.answers == totals.pongs):
@@ -406,12 +428,17 @@ def _tick_jumped(before: Sample, after: Sample) -> bool:
 
 # --- a joint and its goal ------------------------------------------------------------------------
 
-@Rule(seen='goals change, on both sides of the joint or away from it and back twice, or where '
-           'nothing set the torque, and it does not move',
-      remedy='switch the torque on; if it is on, the joint is blocked or its motor has no supply',
-      each=True,
-      symptoms={'joint at rest'}).checked_by
+@Rule(each_device=True,
+      symptoms={'joint at rest'})
 def torque_off(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Goals change, and the joint does not move.
+
+    The goals are on both sides of it, or away from it and back twice, or nothing set the
+    torque.
+
+    Do: switch the torque on; if it is on, the joint is blocked or its motor has no supply.
+    """
     samples = _since_it_moved(_recent_samples(case, device.id))
     place = case.values[device.id].get('Present Position')
     if place is None or place.source != 'r' or place.age_s > STOPPED_MIN_S \
@@ -489,13 +516,17 @@ def _is_ignored(samples: list[Sample], least: float) -> bool:
 
 # --- partly there --------------------------------------------------------------------------------
 
-@Rule(seen='answers Ping and nothing else, since the program began or again and again; or the '
-           'program ended on the first write or read to it',
-      remedy='write 2 to Status Return Level, 1 for reads alone',
-      each=True,
+@Rule(each_device=True,
       symptoms={'answers to Pings only'},
-      accounts_for={*SILENCE, 'absence', 'restart', 'no acknowledgements'}).checked_by
+      accounts_for={*SILENCE, 'absence', 'restart', 'no acknowledgements'})
 def ping_only(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Answers Ping and nothing else, since the program began or again and again.
+
+    Or the program ended on the first write or read to it.
+
+    Do: write 2 to Status Return Level, 1 for reads alone.
+    """
     return Claim('answers Pings only: set its Status Return Level to 2, or 1 for '
                  'reads; if it no longer answers a Ping, check its power and cable',
                  {'missed': f'{device.window.missed} of {device.window.asked}'}) \
@@ -514,11 +545,14 @@ def _is_ping_only(case: Case, device: DeviceReport) -> bool:
         and asked.data_missed >= INCIDENTS_MIN
 
 
-@Rule(seen='more than 1 % of its answers missing',
-      remedy='check its plugs',
-      each=True,
-      symptoms={'missed answers'}).checked_by
+@Rule(each_device=True,
+      symptoms={'missed answers'})
 def missed_answers(case: Case, device: DeviceReport) -> Found | None:
+    """
+    More than 1 % of its answers missing.
+
+    Do: check its plugs.
+    """
     window = device.window
     lost = window.missed - window.spoilt - sum(     # what came in the next one's time is there
         case.count(kind, device) for kind in (ev.LATE, ev.SECOND_ANSWER))

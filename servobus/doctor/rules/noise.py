@@ -69,13 +69,17 @@ NO_PACKETS = ('bytes, but no packet: set {bauds} to the rate of the bus, and che
 
 # --- the wrong rate, ID or protocol --------------------------------------------------------------
 
-@Rule(seen='hardly a packet among the bytes, or more bytes than the rate allows; or none comes '
-           'back to a program, and other bytes do',
-      remedy='set `bauds`, or the rate of the program',
-      subject='bus', level=Level.ERROR,
+@Rule(subject='bus', level=Level.ERROR,
       symptoms={'no packets'},
-      accounts_for=TRAFFIC).checked_by
+      accounts_for=TRAFFIC)
 def wrong_baud(case: Case) -> Claims:
+    """
+    Hardly a packet among the bytes, or more bytes than the rate allows.
+
+    Or no packet comes back to a program, and other bytes do.
+
+    Do: set `bauds`, or the rate of the program.
+    """
     report = case.report
     got, good, errors = (case.counted(name, 2.0) for name in ('bytes', 'packet_bytes', 'framing'))
     if not report.baud:                # it is still to be learned
@@ -134,13 +138,15 @@ def _look(ratio: float) -> bytes:
     return looks[0][:same]
 
 
-@Rule(seen="the monitor's serial driver lost bytes",
-      remedy="raise the monitor's priority, use a better adapter",
-      subject='bus',
+@Rule(subject='bus',
       symptoms={'lost bytes'},
-      accounts_for={*DAMAGE, 'damaged first bytes', 'second answers',
-                    'unasked answers'}).checked_by
+      accounts_for={*DAMAGE, 'damaged first bytes', 'second answers', 'unasked answers'})
 def overrun(case: Case) -> Claims:
+    """
+    The monitor's serial driver lost bytes.
+
+    Do: raise the monitor's priority, use a better adapter.
+    """
     lost = case.counted('overruns')
     if lost > 0:
         yield Claim(f'this computer lost bytes {lost} times, so packets seem missing or '
@@ -148,12 +154,15 @@ def overrun(case: Case) -> Claims:
                     {'overruns': lost})
 
 
-@Rule(seen='silent since the master changed its Baud Rate',
-      remedy='change it back, or change all the others',
-      holds=False, each=True,
+@Rule(holds=False, each_device=True,
       symptoms={'changed rate'},
-      accounts_for={*SILENCE, 'slow cycle', 'joint at rest'}).checked_by
+      accounts_for={*SILENCE, 'slow cycle', 'joint at rest'})
 def baud_moved(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Silent since the master changed its Baud Rate.
+
+    Do: change it back, or change all the others.
+    """
     code = _written(case, device, 'Baud Rate')
     to = device.moved_to or (f'code {code}' if code >= 0 else '')
     if not to or to.startswith(words.NEW_ID) or not (code >= 0 or device.state == words.MOVED):
@@ -163,12 +172,15 @@ def baud_moved(case: Case, device: DeviceReport) -> Found | None:
                  'others and the master to it')
 
 
-@Rule(seen='asked by its old ID since the master changed it',
-      remedy='use the new ID in the program',
-      holds=False, each=True,
+@Rule(holds=False, each_device=True,
       symptoms={'proof'},
-      accounts_for={*SILENCE, 'silent bus', 'slow cycle'}).checked_by
+      accounts_for={*SILENCE, 'silent bus', 'slow cycle'})
 def id_moved(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Asked by its old ID since the master changed it.
+
+    Do: use the new ID in the program.
+    """
     number = _written(case, device, 'ID')
     to = device.moved_to if device.state == words.MOVED else f'{words.NEW_ID}{number:03}'
     if not to.startswith(words.NEW_ID) or (to != device.moved_to and number in (-1, device.id)):
@@ -188,12 +200,15 @@ def _written(case: Case, device: DeviceReport, name: str) -> int:
     return int(one.value.raw)
 
 
-@Rule(seen='devices of Protocol 2.0 and of the 1.0 family on one bus',
-      remedy='set all to one protocol, or use two buses',
-      subject='bus',
+@Rule(subject='bus',
       symptoms={'two protocols'},
-      accounts_for={'stray bytes', 'no packets'}).checked_by
+      accounts_for={'stray bytes', 'no packets'})
 def protocol_1(case: Case) -> Claims:
+    """
+    Devices of Protocol 2.0 and of the 1.0 family on one bus.
+
+    Do: set all to one protocol, or use two buses.
+    """
     if case.count(ev.PROTOCOL_1) <= 1:
         return
     answered = [device for device in case.report.devices if device.window.answers]
@@ -215,14 +230,17 @@ def protocol_1(case: Case) -> Claims:
                 {'packets': case.count(ev.PROTOCOL_1)})
 
 
-@Rule(seen='instructions come back to their master, or are heard twice',
-      remedy="switch the adapter's echo off",
-      subject='bus',
+@Rule(subject='bus',
       symptoms={'echo'},
       accounts_for={*TRAFFIC, 'two protocols', 'refused access', 'refused address',
                     'refused value', 'error bits', 'voltage limit', 'joint at rest',
-                    'unsent instructions'}).checked_by
+                    'unsent instructions'})
 def echo(case: Case) -> Claims:
+    """
+    Instructions come back to their master, or are heard twice.
+
+    Do: switch the adapter's echo off.
+    """
     if case.report.has_sides:          # what it says twice it says itself
         least = ECHO_MIN_INSTRUCTIONS
         heard_back, asked = case.counted('echoes'), case.counted('instructions')
@@ -244,13 +262,15 @@ def echo(case: Case) -> Claims:
 
 # --- several senders -----------------------------------------------------------------------------
 
-@Rule(seen='second answers to one question, bytes after its answers alone, or damage only with '
-           'this ID',
-      remedy='unplug one of the two, change its ID',
-      level=Level.ERROR, each=True,
+@Rule(level=Level.ERROR, each_device=True,
       symptoms={'second answers'},
-      accounts_for={*DAMAGE, 'damaged first bytes', 'late answers', 'restart'}).checked_by
+      accounts_for={*DAMAGE, 'damaged first bytes', 'late answers', 'restart'})
 def duplicate_id(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Second answers to one question, bytes after its answers alone, or damage only with this ID.
+
+    Do: unplug one of the two, change its ID.
+    """
     twice = case.count(ev.SECOND_ANSWER, device)
     if not twice and _alone_answers_again(case, device):
         twice = case.count(ev.ANSWERED_AGAIN, device)
@@ -300,13 +320,16 @@ def _alone_answers_again(case: Case, device: DeviceReport) -> bool:
         and again >= AGAIN_MIN_SHARE * case.damage and not any(one.window.spoilt for one in others)
 
 
-@Rule(seen='answers that this master did not ask for',
-      remedy='look for another master on a segment that is not monitored',
-      noted=(ev.UNASKED,),
+@Rule(needs_incident=(ev.UNASKED,),
       symptoms={'unasked answers'},
       accounts_for={'second answers', 'missed answers', 'damaged packets', 'damaged answers',
-                    'stray bytes', 'damaged first bytes'}).checked_by
+                    'stray bytes', 'damaged first bytes'})
 def foreign_answers(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Answers that this master did not ask for.
+
+    Do: look for another master on a segment that is not monitored.
+    """
     unasked = case.count(ev.UNASKED, device)
     if unasked < INCIDENTS_MIN or case.count(ev.PROTOCOL_1, device) \
             or case.count(ev.SECOND_ANSWER, device) >= SECOND_ANSWERS_FACTOR * unasked:
@@ -318,13 +341,16 @@ def foreign_answers(case: Case, device: DeviceReport) -> Found | None:
 
 # --- damage --------------------------------------------------------------------------------------
 
-@Rule(seen='wrong first byte, right CRC',
-      remedy='raise Return Delay Time by 2 to 4 us',
-      subject='device or bus',
+@Rule(subject='device or bus',
       symptoms={'damaged first bytes'},
       accounts_for={'damaged first bytes', 'stray bytes', 'damaged answers', 'missed answers',
-                    'absence'}).checked_by
+                    'absence'})
 def turnaround(case: Case) -> Claims:
+    """
+    Wrong first byte, right CRC.
+
+    Do: raise Return Delay Time by 2 to 4 us.
+    """
     touched = [device for device in case.report.devices if _first_bytes(device)]
     hit = [device for device in touched if _first_bytes(device) > INCIDENTS_MIN
            and _first_bytes(device) > TURNAROUND_MIN_SHARE * device.window.answers
@@ -363,14 +389,16 @@ def _spoken(device: DeviceReport) -> int:
     return device.window.answers + device.window.beheaded
 
 
-@Rule(seen='damaged packets of several devices',
-      remedy='check termination, ground, shield, motor cables',
-      subject='bus',
+@Rule(subject='bus',
       symptoms={'damaged packets'},
       accounts_for={'damaged answers', 'missed answers', 'absence', 'stray bytes',
-                    'uneven rhythm'}).checked_by
+                    'uneven rhythm'})
 def noise(case: Case) -> Claims:
-    """Say where frames are damaged too rarely for a claim, or were not heard at all."""
+    """
+    Damaged packets of several devices.
+
+    Do: check termination, ground, shield, motor cables.
+    """
     yield from _noise_claims(case)
     yield from source_lost(case)
     if 0 < case.damage < NOISE_MIN_PACKETS:
@@ -423,12 +451,15 @@ def _most_hit(case: Case) -> DeviceReport | None:
     return worst
 
 
-@Rule(seen='only its answers are damaged, or bytes that are no packet come in their place',
-      remedy='unplug it and ping its ID: what still answers is a duplicate; else check its cable',
-      onset_s=DAMAGE_ONSET_S,
+@Rule(onset_s=DAMAGE_ONSET_S,
       symptoms={'damaged answers'},
-      accounts_for={'missed answers', 'absence', 'stray bytes', 'uneven rhythm'}).checked_by
+      accounts_for={'missed answers', 'absence', 'stray bytes', 'uneven rhythm'})
 def damaged_answers(case: Case) -> Claims:
+    """
+    Only its answers are damaged, or bytes that are no packet come in their place.
+
+    Do: unplug it and ping its ID: what still answers is a duplicate; else check its cable.
+    """
     worst = _most_hit(case)
     last = case.last_wait
     for device in case.report.devices if case.report.failed and worst is None else ():
@@ -455,13 +486,15 @@ def damaged_answers(case: Case) -> Claims:
                  'damaged': f'{window.spoilt} of {window.asked}'}, device=worst.id)
 
 
-@Rule(seen='the adapter did not send what was written',
-      remedy='switch flow control off; do not flush output after a write',
-      subject='bus',
+@Rule(subject='bus',
       symptoms={'unsent instructions'},
-      accounts_for={'silent bus', 'no acknowledgements', 'joint at rest'}).checked_by
+      accounts_for={'silent bus', 'no acknowledgements', 'joint at rest'})
 def not_sent(case: Case) -> Claims:
-    """Count instructions that were given back or thrown away: only a source with sides knows."""
+    """
+    The adapter did not send what was written.
+
+    Do: switch flow control off; do not flush output after a write.
+    """
     count = case.count(ev.NOT_SENT)
     if count >= (1 if case.report.failed else INCIDENTS_MIN):
         asked = sorted({one.device for one in case.incidents(ev.NOT_SENT)})
@@ -471,11 +504,14 @@ def not_sent(case: Case) -> Claims:
                     {'instructions': count, 'to': in_full(asked)})
 
 
-@Rule(seen='harmless bytes before packets; WARN where a program ended on one',
-      remedy='add bias resistors',
-      subject='bus', level=Level.OK,
-      symptoms={'stray bytes'}).checked_by
+@Rule(subject='bus', level=Level.OK,
+      symptoms={'stray bytes'})
 def stray_bytes(case: Case) -> Claims:
+    """
+    Harmless bytes before packets; WARN where a program ended on one.
+
+    Do: add bias resistors.
+    """
     stray = case.counted('glitches')
     packets = case.packets
     if stray >= STRAY_MIN_PACKETS and stray > STRAY_MIN_SHARE * packets:

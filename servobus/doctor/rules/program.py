@@ -74,16 +74,19 @@ _PRO = {562: 'Torque Enable', 596: 'Goal Position', 600: 'Goal Velocity', 604: '
 
 # --- what it sends and reads ---------------------------------------------------------------------
 
-@Rule(seen='bytes of earlier answers wait each time it asks, and answers are missed or damaged;'
-           ' only Python with pyserial is known so well',
-      remedy='read whole answers, and clear the input before each question',
-      subject='bus',
+@Rule(subject='bus',
       symptoms={'unread bytes'},
       accounts_for={*SILENCE, *DAMAGE, 'hasty instructions', 'late answers',
                     'absence of several', 'damaged first bytes', 'silent bus', 'unasked answers',
-                    'no acknowledgements', 'wrong length', 'restart', 'slow cycle'}).checked_by
+                    'no acknowledgements', 'wrong length', 'restart', 'slow cycle'})
 def unread_answers(case: Case) -> Claims:
-    """Look for a program that asks while bytes of earlier answers wait; only a tap knows that."""
+    """
+    Bytes of earlier answers wait each time it asks, and answers are missed or damaged.
+
+    Only Python with pyserial is known so well.
+
+    Do: read whole answers, and clear the input before each question.
+    """
     if not case.count(ev.STALE):
         return
     words = 'each time the program asks, bytes of earlier answers still wait to be read'
@@ -97,14 +100,17 @@ def unread_answers(case: Case) -> Claims:
                     'it asks')
 
 
-@Rule(seen='packets of the program with a wrong checksum, CRC or Length, or nothing that is a '
-           'packet; needs a source that knows who sent what',
-      remedy='correct the program',
-      subject='bus', level=Level.ERROR,
+@Rule(subject='bus', level=Level.ERROR,
       symptoms={'proof'},
-      accounts_for={*SILENCE, *DAMAGE, 'no packets', 'silent bus', 'slow cycle'}).checked_by
+      accounts_for={*SILENCE, *DAMAGE, 'no packets', 'silent bus', 'slow cycle'})
 def wrong_packets(case: Case) -> Claims:
-    """Look at what a program sends, where that is heard as it wrote it."""
+    """
+    Packets of the program with a wrong checksum, CRC or Length, or nothing that is a packet.
+
+    Needs a source that knows who sent what.
+
+    Do: correct the program.
+    """
     report, wrong = case.report, case.incidents(ev.WRONG_PACKET)
     sent = report.counters['Bytes']
     if len(wrong) >= INCIDENTS_MIN:
@@ -122,11 +128,14 @@ def wrong_packets(case: Case) -> Claims:
                     f'servo takes: {what}', {'bytes': sent})
 
 
-@Rule(seen='asks ID 255, or 253 in Protocol 2.0; reads from 254',
-      remedy='correct the ID; use Sync Read',
-      subject='bus',
-      symptoms={'proof'}).checked_by
+@Rule(subject='bus',
+      symptoms={'proof'})
 def impossible_id(case: Case) -> Claims:
+    """
+    Asks ID 255, or 253 in Protocol 2.0; reads from 254.
+
+    Do: correct the ID; use Sync Read.
+    """
     for cycle in case.report.cycles:
         number = next(iter(cycle.ids), None)
         reads_all = number == BROADCAST and cycle.instruction == Instruction.READ
@@ -140,11 +149,14 @@ def impossible_id(case: Case) -> Claims:
             return
 
 
-@Rule(seen='`FF FF FD` in the data without the extra `FD`',
-      remedy='use another library',
-      subject='bus',
-      symptoms={'proof'}).checked_by
+@Rule(subject='bus',
+      symptoms={'proof'})
 def unstuffed(case: Case) -> Claims:
+    """
+    `FF FF FD` in the data without the extra `FD`.
+
+    Do: use another library.
+    """
     notes = case.incidents(ev.UNSTUFFED)
     if notes:
         last = notes[-1]
@@ -156,12 +168,15 @@ def unstuffed(case: Case) -> Claims:
 
 # --- what devices refuse -------------------------------------------------------------------------
 
-@Rule(seen='a write to EEPROM refused',
-      remedy='write Torque Enable 0 first',
-      noted=(ev.REFUSED,),
+@Rule(needs_incident=(ev.REFUSED,),
       symptoms={'proof'},
-      accounts_for={'refused access'}).checked_by
+      accounts_for={'refused access'})
 def eeprom_locked(case: Case, device: DeviceReport) -> Found | None:
+    """
+    A write to EEPROM refused.
+
+    Do: write Torque Enable 0 first.
+    """
     torque = case.values[device.id].get('Torque Enable')
     # Where it is on, that explains one.
     least = _enough(case, device, INCIDENTS_MIN) if torque is None else 1
@@ -182,11 +197,14 @@ def _is_locked(device: DeviceReport, address: int, error: int) -> bool:
         and 'w' in field.access
 
 
-@Rule(seen='one address refused three times',
-      remedy='use the control table of this model',
-      noted=(ev.REFUSED,), needs_model=True,
-      symptoms={'refused address'}).checked_by
+@Rule(needs_incident=(ev.REFUSED,), needs_model=True,
+      symptoms={'refused address'})
 def wrong_address(case: Case, device: DeviceReport) -> Found | None:
+    """
+    One address refused three times.
+
+    Do: use the control table of this model.
+    """
     found = Counter(one.detail[1:] for one in case.incidents(ev.REFUSED, device)
                     if one.detail.error in (ACCESS_ERROR, LENGTH_ERROR, RANGE_ERROR)
                     and not _is_locked(device, *one.detail[1:]))
@@ -209,15 +227,18 @@ def _what_is_there(device: DeviceReport, address: int, error: int) -> str:
     return f'{field.name} ({field.access}, {field.size} bytes) does not allow this access'
 
 
-@Rule(seen='values beyond its limits (Data Limit, in 1.0 angle limit), once where the program '
-           'ended on it; goals that Position Control Mode refuses, or that a Feetech servo '
-           'holds back',
-      remedy='limit the goals, or set wider limits',
-      each=True,
+@Rule(each_device=True,
       symptoms={'refused value'},
-      accounts_for={'refused access', 'joint at rest'}).checked_by
+      accounts_for={'refused access', 'joint at rest'})
 def goal_limits(case: Case, device: DeviceReport) -> Found | None:
-    """Look for Data Limit errors, in Dynamixel 1.0 angle limit errors."""
+    """
+    Values beyond its limits (Data Limit, in 1.0 angle limit).
+
+    Once is enough where the program ended on it. Also goals that Position Control Mode
+    refuses, or that a Feetech servo holds back.
+
+    Do: limit the goals, or set wider limits.
+    """
     found = Counter(one.detail.address for one in case.incidents(ev.REFUSED, device)
                     if one.detail.error == LIMIT_ERROR and one.detail.instruction in SINGLE_WRITES)
     for address, count in found.most_common(1):
@@ -269,12 +290,14 @@ def _goals_held_back(case: Case, device: DeviceReport) -> Found | None:
                  rests_on=('Goal Position', *limits))
 
 
-@Rule(seen='the same, model unknown',
-      remedy='set its model in `devices`',
-      noted=(ev.REFUSED,),
-      symptoms={'refused access'}).checked_by
+@Rule(needs_incident=(ev.REFUSED,),
+      symptoms={'refused access'})
 def refused(case: Case, device: DeviceReport) -> Found | None:
-    """Say what is refused where the model is not known, which would tell more."""
+    """
+    One address refused three times, and its model is not known.
+
+    Do: set its model in `devices`.
+    """
     if device.model.number is not None:
         return None
     for (instruction, address, error), count in _refused(case, device).most_common(1):
@@ -298,12 +321,16 @@ def _enough(case: Case, device: DeviceReport, few: int) -> int:
 
 # --- how it goes on ------------------------------------------------------------------------------
 
-@Rule(seen='no more instructions after 2.5 s of them or more, an advice below 10 s; device '
-           'states date from then',
-      remedy='check the program and its cable',
-      subject='bus', holds=False,
-      symptoms={'proof'}).checked_by
+@Rule(subject='bus', holds=False,
+      symptoms={'proof'})
 def master_stopped(case: Case) -> Claims:
+    """
+    No more instructions after 2.5 s of them or more.
+
+    An advice below 10 s; device states date from then.
+
+    Do: check the program and its cable.
+    """
     report = case.report
     if case.quiet_s < STOPPED_MIN_S or (report.last_byte_s or 0.0) < STOPPED_MIN_S \
             or report.stamp - report.deaf < STOPPED_MIN_S * NS_PER_S:
@@ -317,13 +344,16 @@ def master_stopped(case: Case) -> Claims:
                 Level.OK if case.quiet_s < STOPPED_WARN_S else None)
 
 
-@Rule(seen='many IDs pinged; WARN if broadcast Pings collide',
-      remedy='wait 0.8 s after a broadcast Ping',
-      subject='bus', level=Level.OK, holds=False,
+@Rule(subject='bus', level=Level.OK, holds=False,
       symptoms={'proof'},
       accounts_for={'damaged packets', 'damaged answers', 'stray bytes', 'damaged first bytes',
-                    'uneven rhythm'}).checked_by
+                    'uneven rhythm'})
 def scan(case: Case) -> Claims:
+    """
+    Many IDs pinged; WARN if broadcast Pings collide.
+
+    Do: wait 0.8 s after a broadcast Ping.
+    """
     pings = sum(map(case.times_asked, [
         cycle for cycle in case.report.cycles
         if cycle.instruction == Instruction.PING and cycle.ids == (BROADCAST,)]))
@@ -341,11 +371,14 @@ def scan(case: Case) -> Claims:
                     {'without an answer': listed(case.report.scanned)}, stands_alone=True)
 
 
-@Rule(seen='devices of unknown models, as `cannot tell.models`',
-      remedy='set `devices`, or send Ping',
-      subject='bus', level=Level.OK,
-      symptoms={'proof'}).checked_by
+@Rule(subject='bus', level=Level.OK,
+      symptoms={'proof'})
 def models(case: Case) -> Claims:
+    """
+    Devices of unknown models, as `cannot tell.models`.
+
+    Do: set `devices`, or send Ping.
+    """
     found: dict[str, list[int]] = {}
     for device in case.report.devices:
         if device.model.number is None and device.last_heard_s is not None:
@@ -379,12 +412,15 @@ def _remedy(device: DeviceReport, names: Names) -> str:
             'master read Model Number')
 
 
-@Rule(seen='thirty EEPROM writes in ten seconds',
-      remedy='write only what changes',
-      each=True,
+@Rule(each_device=True,
       symptoms={'proof'},
-      accounts_for={'joint at rest'}).checked_by
+      accounts_for={'joint at rest'})
 def eeprom_wear(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Thirty EEPROM writes in ten seconds.
+
+    Do: write only what changes.
+    """
     count = device.window.eeprom_writes
     if count < EEPROM_WRITES_MIN:
         return None
@@ -394,12 +430,15 @@ def eeprom_wear(case: Case, device: DeviceReport) -> Found | None:
                  {'writes in 10 s': count})
 
 
-@Rule(seen='no answers to writes: Status Return Level 1; WARN where the program ended on that',
-      remedy='nothing, if the master knows; else level 2',
-      level=Level.OK, onset_s=ACKS_ONSET_S, holds=False, each=True,
+@Rule(level=Level.OK, onset_s=ACKS_ONSET_S, holds=False, each_device=True,
       symptoms={'no acknowledgements'},
-      accounts_for={'missed answers', 'silent device'}).checked_by
+      accounts_for={'missed answers', 'silent device'})
 def no_acks(case: Case, device: DeviceReport) -> Found | None:
+    """
+    No answers to writes: Status Return Level 1; WARN where the program ended on that.
+
+    Do: nothing, if the master knows; else level 2.
+    """
     last = ended_on(case)
     has_ended = last is not None and last.device == device.id and device.acks is None \
         and last.instruction in SINGLE_WRITES and device.totals.answers > device.totals.pongs
@@ -420,11 +459,14 @@ def no_acks(case: Case, device: DeviceReport) -> Found | None:
                  rests_on=() if has_ended or unanswered else (ANSWER,))
 
 
-@Rule(seen='only read, while others are written',
-      remedy='check whether the program forgot it',
-      level=Level.OK, each=True,
-      symptoms={'no writes'}).checked_by
+@Rule(level=Level.OK, each_device=True,
+      symptoms={'no writes'})
 def never_written(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Only read, while others are written.
+
+    Do: check whether the program forgot it.
+    """
     if device.totals.writes or device.totals.reads < POLLED_MIN_READS \
             or 'Goal Position' not in device.model.by_name \
             or case.heard_s < POLLED_MIN_S or not device.window.answers:
@@ -440,13 +482,15 @@ def never_written(case: Case, device: DeviceReport) -> Found | None:
 
 # --- reads of several devices at once ------------------------------------------------------------
 
-@Rule(seen='no part in fast reads',
-      remedy='update its firmware, or use Sync Read',
-      symptoms={'unanswered group reads'},
+@Rule(symptoms={'unanswered group reads'},
       accounts_for={*SILENCE, 'silent bus', 'damaged packets', 'damaged answers',
-                    'refused address', 'absence'}).checked_by
+                    'refused address', 'absence'})
 def fast_read_unsupported(case: Case) -> Claims:
-    """Look at the first device of each fast read that never gave its part of one."""
+    """
+    No part in fast reads.
+
+    Do: update its firmware, or use Sync Read.
+    """
     known = set()
     for cycle in case.report.cycles:
         if cycle.instruction not in FAST_READS or not cycle.stamps or cycle.asked < INCIDENTS_MIN \
@@ -485,13 +529,15 @@ def _lacks_fast_reads(device: DeviceReport) -> bool:
     return device.firmware < since
 
 
-@Rule(seen='nothing answers Sync Reads, other instructions are answered (1.0, Feetech SCS)',
-      remedy='read one after the other',
-      subject='bus',
+@Rule(subject='bus',
       symptoms={'unanswered group reads'},
-      accounts_for={'uneven rhythm', 'missed answers', 'device not served'}).checked_by
+      accounts_for={'uneven rhythm', 'missed answers', 'device not served'})
 def sync_read_unsupported(case: Case) -> Claims:
-    """Look for Sync Reads that nothing answers, where other instructions are answered."""
+    """
+    Nothing answers Sync Reads, other instructions are answered (1.0, Feetech SCS).
+
+    Do: read one after the other.
+    """
     is_feetech = case.report.protocol == FEETECH.name
     if case.count(ev.UNASKED) or not (
             is_feetech or case.report.protocol in (DYNAMIXEL_1.name, UNDECIDED.name)):

@@ -45,13 +45,16 @@ _OTHER_SERIES = {30: 'Goal Position of AX and MX', 36: 'Present Position of AX a
                  116: 'Goal Position of X', 132: 'Present Position of X'}
 
 
-@Rule(seen='several new servos have ID 1',
-      remedy='connect them one at a time, give each its own ID',
-      level=Level.ERROR,
+@Rule(level=Level.ERROR,
       symptoms={'second answers', 'silent device'},
       accounts_for={*SILENCE, *DAMAGE, 'second answers', 'silent bus', 'damaged first bytes',
-                    'unasked answers', 'wrong length', 'late answers', 'slow cycle'}).checked_by
+                    'unasked answers', 'wrong length', 'late answers', 'slow cycle'})
 def factory_id(case: Case) -> Claims:
+    """
+    Several new servos have ID 1.
+
+    Do: connect them one at a time, give each its own ID.
+    """
     first = case.devices.get(FACTORY_ID)
     absent = [device.id for device in case.report.devices if device is not first
               and device.last_heard_s is None
@@ -73,12 +76,15 @@ def _clashes(case: Case, device: DeviceReport) -> bool:
         window.spoilt >= INCIDENTS_MIN and window.spoilt >= CLASH_MIN_SHARE * window.asked)
 
 
-@Rule(seen='a 7.4 V servo on 12 V; WARN: a 12 V servo on 7.4 V (1.0 family)',
-      remedy='compare its label with the supply',
-      level=Level.ERROR, onset_s=SUPPLY_ONSET_S,
+@Rule(level=Level.ERROR, onset_s=SUPPLY_ONSET_S,
       symptoms={'proof'},
-      accounts_for={'voltage limit', 'error bits', 'joint at rest'}).checked_by
+      accounts_for={'voltage limit', 'error bits', 'joint at rest'})
 def wrong_supply(case: Case) -> Claims:
+    """
+    A 7.4 V servo on 12 V; WARN: a 12 V servo on 7.4 V (1.0 family).
+
+    Do: compare its label with the supply.
+    """
     high, low, unknown = [], [], []
     for device in case.report.devices:
         volts = last_read(case, device, SUPPLY[0])
@@ -118,11 +124,14 @@ def _supply_claims(found: list[tuple[DeviceReport, float, float]], words: str,
                     rests_on=SUPPLY)
 
 
-@Rule(seen='reads or writes that cut a register (1.0 family)',
-      remedy='use the table of its model',
-      each=True, protocols=FAMILY_1, needs_model=True,
-      symptoms={'proof'}).checked_by
+@Rule(each_device=True, protocols=FAMILY_1, needs_model=True,
+      symptoms={'proof'})
 def layout(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Reads or writes that cut a register (1.0 family).
+
+    Do: use the table of its model.
+    """
     order = case.values[device.id].get('Byte Order')
     place = device.model.by_name.get('Present Position')
     if order is not None and place is not None \

@@ -86,15 +86,19 @@ SLOW_ANSWER_MS = 0.4               # reply latency: Return Delay Time from the f
 
 # --- several masters -----------------------------------------------------------------------------
 
-@Rule(seen='two independent rhythms of instructions; or answers are lost while another program,'
-           ' or a second one that was started, has the port open, or one reads after the other '
-           'has asked',
-      remedy='find the second program; give threads one lock',
-      subject='bus', level=Level.ERROR, onset_s=1.0,
+@Rule(subject='bus', level=Level.ERROR, onset_s=1.0,
       symptoms={'two rhythms'},
       accounts_for={*DAMAGE, 'hasty instructions', 'late answers', 'second answers',
-                    'unasked answers', 'damaged first bytes', 'absence of several'}).checked_by
+                    'unasked answers', 'damaged first bytes', 'absence of several'})
 def two_masters(case: Case) -> Claims:
+    """
+    Two independent rhythms of instructions.
+
+    Or answers are lost while another program, or a second one that was started, has the port
+    open, or one reads after the other has asked.
+
+    Do: find the second program; give threads one lock.
+    """
     foreign = case.count(ev.FOREIGN)
     if foreign >= INCIDENTS_MIN:
         yield Claim(f'the master received {foreign} instructions that it did not send: '
@@ -158,13 +162,16 @@ def _words(cycle: Cycle, period: float) -> str:
 
 # --- a master that does not wait, and answers that are late --------------------------------------
 
-@Rule(seen='the master does not wait for the whole answer, or throws answers away unread',
-      remedy='raise its time-out; let it read them',
-      subject='bus',
+@Rule(subject='bus',
       symptoms={'hasty instructions'},
       accounts_for={*SILENCE, *DAMAGE, 'late answers', 'second answers', 'silent bus',
-                    'no acknowledgements'}).checked_by
+                    'no acknowledgements'})
 def impatient_master(case: Case) -> Claims:
+    """
+    The master does not wait for the whole answer, or throws answers away unread.
+
+    Do: raise its time-out; let it read them.
+    """
     spoilt = [wait.stamp for wait in case.report.waits if wait.is_spoilt]      # asked once more
     again = Counter(code for stamp, code in case.repeats.items()
                     if not any(0 <= stamp - one < SAME_LATENESS_NS for one in spoilt))
@@ -271,12 +278,14 @@ def _hidden_repeats(case: Case) -> list[Incident[ev.Code]]:
     return first
 
 
-@Rule(seen='the answer comes after the master gave up',
-      remedy='lower Return Delay Time, or raise the time-out',
-      symptoms={'late answers'},
-      accounts_for={*DAMAGE, 'unasked answers', 'damaged first bytes',
-                    'slow cycle'}).checked_by
+@Rule(symptoms={'late answers'},
+      accounts_for={*DAMAGE, 'unasked answers', 'damaged first bytes', 'slow cycle'})
 def late_answers(case: Case) -> Claims:
+    """
+    The answer comes after the master gave up.
+
+    Do: lower Return Delay Time, or raise the time-out.
+    """
     late, fatal = case.incidents(ev.LATE), read_late(case)
     first: Counter[int] = Counter()
     before = 0
@@ -312,11 +321,14 @@ def _is_cut_short(case: Case) -> bool:
         FACTORY_DELAY_US if case.report.has_sides else NO_WAIT_US)
 
 
-@Rule(seen='answers of the wrong length',
-      remedy='update its firmware; look for a second device with this ID',
-      noted=(ev.WRONG_SIZE,),
-      symptoms={'wrong length'}).checked_by
+@Rule(needs_incident=(ev.WRONG_SIZE,),
+      symptoms={'wrong length'})
 def wrong_length(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Answers of the wrong length.
+
+    Do: update its firmware; look for a second device with this ID.
+    """
     wrong = case.incidents(ev.WRONG_SIZE, device)
     if len(wrong) < INCIDENTS_MIN or 4 * case.count(ev.LATE, device) > len(wrong):
         return None
@@ -328,12 +340,15 @@ def wrong_length(case: Case, device: DeviceReport) -> Found | None:
 
 # --- slow adapters, devices and lines ------------------------------------------------------------
 
-@Rule(seen='instructions come 16 ms after the last answer',
-      remedy="set the latency timer of the master's adapter to 1 ms",
-      subject='bus',
+@Rule(subject='bus',
       symptoms={'slow answers'},
-      accounts_for={'uneven rhythm', 'slow cycle'}).checked_by
+      accounts_for={'uneven rhythm', 'slow cycle'})
 def latency_timer(case: Case) -> Claims:
+    """
+    Instructions come 16 ms after the last answer.
+
+    Do: set the latency timer of the master's adapter to 1 ms.
+    """
     answers = [answer_ns(cycle, case.report.baud) for cycle in case.report.cycles]
     answered = sum(len(cycle.stamps) - bisect_right(cycle.stamps, case.now - NS_PER_S)
                    for cycle, answer in zip(case.report.cycles, answers, strict=True) if answer)
@@ -375,12 +390,15 @@ def latency_timer(case: Case) -> Claims:
                     {'16 ms later': f'{len(slow)} of {len(gaps)}'})
 
 
-@Rule(seen='busy for 75 % of the time, and damage or answers missed now and then',
-      remedy='raise the baud rate, read less',
-      subject='bus',
+@Rule(subject='bus',
       symptoms={'busy line'},
-      accounts_for={'uneven rhythm', 'two rhythms', 'hasty instructions', 'slow cycle'}).checked_by
+      accounts_for={'uneven rhythm', 'two rhythms', 'hasty instructions', 'slow cycle'})
 def bus_too_slow(case: Case) -> Claims:
+    """
+    Busy for 75 % of the time, and damage or answers missed now and then.
+
+    Do: raise the baud rate, read less.
+    """
     seconds = (case.now - case.mark(LOAD_WINDOW_S).stamp) / NS_PER_S
     got = case.counted('bytes', LOAD_WINDOW_S)
     if seconds < 1.0:
@@ -398,12 +416,15 @@ def bus_too_slow(case: Case) -> Claims:
                     Level.WARN if harm else Level.OK)
 
 
-@Rule(seen='Return Delay Time is 0.4 ms or more',
-      remedy='write 0',
-      level=Level.OK,
+@Rule(level=Level.OK,
       symptoms={'slow answers'},
-      accounts_for={'slow cycle'}).checked_by
+      accounts_for={'slow cycle'})
 def return_delay(case: Case) -> Claims:
+    """
+    Return Delay Time is 0.4 ms or more.
+
+    Do: write 0.
+    """
     for device in case.report.devices:
         register = case.values[device.id].get('Return Delay Time')
         delay_ms = register.value.number * 1000 if register and register.value.number is not None \
@@ -436,12 +457,15 @@ def _delay_claim(case: Case, device: DeviceReport, delay_ms: float | None,
 
 # --- the cycle of the master ---------------------------------------------------------------------
 
-@Rule(seen='a regular loop lost its rhythm',
-      remedy='real-time priority; take slow work out of the loop',
-      subject='bus', onset_s=JITTER_ONSET_S,
+@Rule(subject='bus', onset_s=JITTER_ONSET_S,
       symptoms={'uneven rhythm'},
-      accounts_for={'slow cycle'}).checked_by
+      accounts_for={'slow cycle'})
 def jitter(case: Case) -> Claims:
+    """
+    A regular loop lost its rhythm.
+
+    Do: real-time priority; take slow work out of the loop.
+    """
     rhythms = case.rhythms
     if not rhythms or case.waits(WAITS_WINDOW_S):
         return
@@ -462,14 +486,17 @@ def jitter(case: Case) -> Claims:
                                    f'usually {best.period / NS_PER_MS:.1f}'})
 
 
-@Rule(seen='more than half of each cycle is work of the program (not a pause between cycles), '
-           'answers that wait for it to read, waiting for one device, or exchanges that could '
-           'be faster; needs a source that knows who sent what',
-      remedy='what the finding says',
-      subject='bus or device', level=Level.OK, onset_s=1.0,
-      symptoms={'slow cycle'}).checked_by
+@Rule(subject='bus or device', level=Level.OK, onset_s=1.0,
+      symptoms={'slow cycle'})
 def cycle_time(case: Case) -> Claims:
-    """Name what takes most of each cycle; not the pause of a program that sleeps."""
+    """
+    More than half of each cycle is one thing that could be faster.
+
+    It is work of the program (not a pause between cycles), answers that wait for it to read,
+    waiting for one device, or slow exchanges. Needs a source that knows who sent what.
+
+    Do: what the finding says.
+    """
     times = case.report.cycle
     if times is None or times.unknown:
         return
