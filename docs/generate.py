@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from collections.abc import Sequence
+from inspect import getdoc
 from pathlib import Path
 import sys
 
@@ -23,6 +24,8 @@ from msg_defs.reports import Metric
 from msg_defs.reports import unit_name
 from servobus.bus import report as words
 from servobus.bus.decoder import Settings
+from servobus.doctor.rule import Rule
+from servobus.doctor.rules import FAMILIES
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 from servobus.status import bus_status
@@ -42,6 +45,8 @@ from vel2d_bridge.mcu_log import McuLog
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTE = '<!-- Made from the code by docs/generate.py: edit that, or the code. -->\n'
+FINDINGS = '<!-- Made from servobus/doctor/rules/ by docs/generate.py: edit that. -->\n'
+FINDINGS_END = '<!-- End of what is made from the rules. -->\n'
 
 TOPICS = (
     ('`cmd_vel` (subscribed)', 'Twist or TwistStamped', 'x, y, omega; `message_type`'),
@@ -305,7 +310,23 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
                    for line in lines)
 
 
-PAGES = {'docs/parameters.md': parameters, 'docs/diagnostics.md': diagnostics}
+def doctor() -> str:
+    """Return the page about findings: made from the rules, the rest of it as it is."""
+    page = (ROOT / 'docs/doctor.md').read_text()
+    before, after = page[:page.index(FINDINGS)], page[page.index(FINDINGS_END):]
+    tables = [f'## {title}\n\n' + _table(('finding', 'seen', 'do'), map(_finding_row, rules))
+              for title, rules in FAMILIES.items()]
+    return before + '\n'.join((FINDINGS, *tables, after))
+
+
+def _finding_row(rule: Rule) -> tuple[str, ...]:
+    subject = '' if rule.subject == 'device' else f', {rule.subject}'
+    seen, remedy = ' '.join((getdoc(rule.check) or '').split()).removesuffix('.').split('. Do: ')
+    return f'`{rule.name}` {rule.level.name}{subject}', seen, remedy
+
+
+PAGES = {'docs/parameters.md': parameters, 'docs/diagnostics.md': diagnostics,
+         'docs/doctor.md': doctor}
 
 
 def main(check: bool) -> int:

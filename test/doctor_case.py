@@ -21,12 +21,12 @@ from servobus.bus.report import Incident
 from servobus.bus.report import ReplyLatency
 from servobus.bus.report import Wait
 from servobus.bus.table import Observed
-from servobus.doctor import found_by
 from servobus.doctor import RULES
 from servobus.doctor.case import Case
 from servobus.doctor.case import Mark
 from servobus.doctor.case import mark_of
 from servobus.doctor.case import Sample
+from servobus.doctor.engine import found_by
 from servobus.doctor.rule import Claim
 from servobus.model.control_table import UNKNOWN
 from servobus.model.models import Models
@@ -36,10 +36,6 @@ S = 1_000_000_000
 MS = 1_000_000
 NOW = 100 * S
 RULE = {one.name: one for one in RULES}
-OF_THE_BUS = {'wrong_baud', 'overrun', 'noise', 'stray_bytes', 'echo', 'not_sent', 'all_silent',
-              'brown_out', 'master_stopped', 'impossible_id', 'scan', 'impatient_master',
-              'bus_too_slow', 'wrong_packets', 'unread_answers', 'two_masters', 'latency_timer',
-              'jitter', 'sync_read_unsupported'}
 
 def summary(p50, p95=0.0, count=5):
     return Summary(count, p50, 0.0, p50, p95, p50, p95 or p50, p95 or p50)
@@ -119,14 +115,19 @@ def speaks_from_its_edge_on(rule, enough, message, figures, too_little):
     enough: the parts of the case; and whom it is about, its level and what it covers, where that
     is not the usual. too_little: parts that take the place of those.
     """
-    enough = dict(enough)
-    of = {name: enough.pop(name, usual) for name, usual in (
-        ('whom', None if rule in OF_THE_BUS else 1), ('level', None), ('covers', ()))}
-    [claim] = claims(rule, **enough)
+    [claim] = claims_of_row(rule, enough)
     assert (claim.message, dict(claim.evidence)) == (message, figures)
-    assert (claim.device, claim.level, claim.covers) == tuple(of.values())
+    assert (claim.device, claim.level, claim.covers) == tuple(
+        enough.get(name, usual) for name, usual in (
+            ('whom', None if RULE[rule].subject == 'bus' else 1), ('level', None), ('covers', ())))
     for less in too_little:
-        assert claims(rule, **{**enough, **less}) == [], less
+        assert claims_of_row(rule, {**enough, **less}) == [], less
+
+
+def claims_of_row(rule, parts):
+    """Return what a rule claims of the case in a row, which also has what is expected of it."""
+    return claims(rule, **{name: part for name, part in parts.items()
+                           if name not in ('whom', 'level', 'covers')})
 
 
 # --- cases in a file -------------------------------------------------------------------------

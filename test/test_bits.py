@@ -25,6 +25,8 @@ POSITION = 2048
 ANSWERS = [frames.status(3, 0, (POSITION + turn % 700).to_bytes(4, 'little'))
            for turn in range(400)]
 DUE = Shape(ANSWERS[0][:8], len(ANSWERS[0]), 3)
+UPWARD, DOWNWARD = (f'{bits.SIGNAL_LEVEL}: {was} read as {became} each time'
+                    for was, became in ('01', '10'))
 
 
 def heard(draw, answers=ANSWERS, seed=1):
@@ -101,8 +103,8 @@ def test_a_packet_that_breaks_off_is_no_wreck(noise):
 
 @pytest.mark.parametrize(('draw', 'said'), later([
     (uart.varied(clock=(1.06, 1.07), noise=0.05), bits.CLOCK),
-    (uart.varied(rise=(0.58, 0.7), noise=0.03), f'{bits.LEVEL}: 1 read as 0'),
-    (uart.varied(lift=(0.35, 0.37), noise=0.07), f'{bits.LEVEL}: 0 read as 1'),
+    (uart.varied(rise=(0.58, 0.7), noise=0.03), f'{bits.SIGNAL_LEVEL}: 1 read as 0'),
+    (uart.varied(lift=(0.35, 0.37), noise=0.07), f'{bits.SIGNAL_LEVEL}: 0 read as 1'),
     (uart.glitches(0.2), bits.INTERFERENCE),
     (uart.beats(47.0, 0.4), bits.PWM),
 ], 1), ids=['clock', 'edge', 'ground', 'glitches', 'PWM'])
@@ -115,7 +117,7 @@ def test_two_that_answer_at_once_are_told():
               for turn in range(400)]
     both = b''.join(bytes(one & other for one, other in zip(*pair, strict=True))
                     for pair in zip(ANSWERS, others, strict=True))
-    assert looks(both).startswith(bits.SPEAKERS)
+    assert looks(both).startswith(bits.TWO_SENDERS)
 
 
 def test_where_it_is_not_clear_nothing_is_said():
@@ -126,7 +128,7 @@ def test_where_it_is_not_clear_nothing_is_said():
         garbled.append(answer[:at] + random.randbytes(3) + answer[at + 3:])
     assert looks(b''.join(garbled)) == ''
     assert looks(b''.join(answer[:random.randrange(1, 15)] for answer in ANSWERS)) == ''
-    few = heard(uart.glitches(1.0), ANSWERS[:bits.ENOUGH - 2])
+    few = heard(uart.glitches(1.0), ANSWERS[:bits.PICTURE_MIN - 2])
     assert looks(few) == ''
     same = bytearray(ANSWERS[0])
     same[7] ^= 0x14
@@ -166,20 +168,20 @@ def bursts(late):
     ([wreck(11 + at, 7) for at in range(7)] + [WHOLE_HEAD], ''),
     ([wreck(11 + at, 7) for at in range(18)] + [wreck(500), wreck(600)], bits.CLOCK),
     ([wreck(11 + at, 7) for at in range(17)] + [wreck(500 + at) for at in range(3)],
-     f'{bits.LEVEL}: 0 read as 1 each time'),
-    ([WHOLE_HEAD] * 19 + [wreck()], f'{bits.SPEAKERS}: the headers are whole, data and checksums '
-                                    'are not'),
+     UPWARD),
+    ([WHOLE_HEAD] * 19 + [wreck()], f'{bits.TWO_SENDERS}: the headers are whole, data and '
+                                    'checksums are not'),
     ([WHOLE_HEAD] * 18 + [wreck()] * 2, ''),
     ([WHOLE_HEAD] * 17 + [wreck()] * 3, ''),
-    (apart(19, 1), f'{bits.LEVEL}: 0 read as 1 each time'),
-    (apart(1, 19), f'{bits.LEVEL}: 1 read as 0 each time'),
+    (apart(19, 1), UPWARD),
+    (apart(1, 19), DOWNWARD),
     (apart(18, 2), ''), (apart(15, 5), ''), (apart(14, 6), bits.INTERFERENCE),
     (apart(6, 14), bits.INTERFERENCE),
-    ([wreck(11, device=number) for number in range(8)], f'{bits.LEVEL}: 0 read as 1 each time'),
-    (bursts([None]), ''), (bursts([True] * 9 + [False]), f'{bits.LEVEL}: 0 read as 1 each time'),
+    ([wreck(11, device=number) for number in range(8)], UPWARD),
+    (bursts([None]), ''), (bursts([True] * 9 + [False]), UPWARD),
     (bursts([True] * 8 + [False] * 2), ''),
     ([wreck(11 + 10 * (at % 4)) for at in range(8)], ''),      # a quarter each: no chance
-    ([wreck(11 + 10 * (at % 5)) for at in range(10)], f'{bits.LEVEL}: 0 read as 1 each time'),
+    ([wreck(11 + 10 * (at % 5)) for at in range(10)], UPWARD),
     ([wreck()] * 9, ''),                               # the same bit each time
     (pairs(16, 33), f'{bits.PWM}: wrong bits about 33 bits apart, or a multiple'),
     (pairs(15, 33), bits.INTERFERENCE), (pairs(16, 30), bits.INTERFERENCE),

@@ -25,7 +25,7 @@ from servobus.doctor.case import History
 from servobus.doctor.case import PARAMETERS
 from servobus.doctor.finding_log import BusSummary
 from servobus.doctor.finding_log import FindingLog
-from servobus.doctor.timing_rules import RULES
+from servobus.doctor.rules.timing import cycle_time
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 from servobus.monitor import Settings
@@ -33,7 +33,6 @@ from servobus.tools.doctor.answer_screen import screen
 from servobus.tools.doctor.verdict import as_json
 from servobus.tools.doctor.verdict import verdict
 
-cycle_time = next(rule.check for rule in RULES if rule.name == 'cycle_time')
 MODELS = Models()
 BAUD, BYTE_NS = 1_000_000, 10_000
 S, MS = 1_000_000_000, 1_000_000
@@ -283,7 +282,7 @@ def test_a_pause_is_no_cycle():
 ])
 def test_what_takes_most_of_a_cycle_is_advice(pattern, robot, dead, device, word):
     report = Robot(**robot).run(pattern, dead)
-    found = list(cycle_time(History(PARAMETERS).take(report)))
+    found = list(cycle_time.check(History(PARAMETERS).take(report)))
     assert [one.device for one in found] == ([device] if word else [])
     assert all(word in one.message for one in found)
     assert {one.level for one in report.findings if one.rule == 'cycle_time'} <= {Level.OK}
@@ -302,7 +301,7 @@ def test_a_program_that_takes_long_each_time_otherwise_is_named(busy, is_named):
             robot.bus.change(Change(BUSY, int(busy * robot.program) // 1000), robot.now)
     report = robot.bus.report(robot.now)
     assert report.cycle.busy == (busy and pytest.approx(busy * report.cycle.program, rel=0.05))
-    found = list(cycle_time(History(PARAMETERS).take(report)))
+    found = list(cycle_time.check(History(PARAMETERS).take(report)))
     assert ['the program itself' in one.message for one in found] == [True] * is_named
 
 

@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The doctor by itself: how claims stand, fall and hide others; docs/doctor.md has each."""
 
+from dataclasses import replace
 from pathlib import Path
 import re
 import struct
+from typing import get_args
 
 import heard_bus
 from heard_bus import MODELS
@@ -17,14 +19,16 @@ from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 from msg_defs.reports import Level
-from servobus import doctor as doctor_module
 from servobus.doctor import Doctor
 from servobus.doctor import RULES
+from servobus.doctor import rules
 from servobus.doctor.case import OPTIONS
 from servobus.doctor.case import PARAMETERS
 from servobus.doctor.rule import Claim
 from servobus.doctor.rule import Doubt
 from servobus.doctor.rule import Rule
+from servobus.doctor.symptom import ContentSymptom
+from servobus.doctor.symptom import TrafficSymptom
 from servobus.monitor import Monitor
 from servobus.status import bus_status
 from servobus.status import device_status
@@ -51,9 +55,10 @@ def plain_report(stamp):
     return Monitor('arm', MODELS).report(stamp)
 
 
-def with_rules(monkeypatch, *rules):
-    monkeypatch.setattr(doctor_module, 'RULES', rules)
-    monkeypatch.setattr(doctor_module, '_RANK', {one.name: n for n, one in enumerate(rules)})
+def with_rules(monkeypatch, *some):
+    monkeypatch.setattr(rules, 'RULES', some)
+    monkeypatch.setattr(rules, 'BY_NAME', {one.name: one for one in some})
+    monkeypatch.setattr(rules, 'RANKS', {one.name: n for n, one in enumerate(some)})
     return Doctor()
 
 
@@ -64,8 +69,8 @@ def saying(*claims, until=1 << 60):
     return check
 
 
-def rule(name, check, *explains, level=Level.WARN, holds=True):
-    return Rule(name, check, explains, level, 0.0, holds)
+def rule(name, check, *effects, level=Level.WARN, holds=True):
+    return Rule({name}, {*effects}, level=level, holds=holds, name=name, check=check)
 
 
 def names(report):
@@ -79,7 +84,7 @@ def test_a_claim_outlives_its_evidence_a_little(monkeypatch):
 
 
 def test_what_needs_to_last_is_told_after_a_while(monkeypatch):
-    slow = rule('bad', saying(Claim('words')))._replace(onset_s=2.0)
+    slow = replace(rule('bad', saying(Claim('words'))), onset_s=2.0)
     doctor = with_rules(monkeypatch, slow)
     assert [bool(doctor.examine(plain_report(at * S)).findings) for at in range(1, 5)] \
         == [False, False, True, True]
@@ -186,8 +191,22 @@ def test_the_page_has_every_rule_and_no_other():
     assert sorted(rows) == sorted((one.name, one.level.name) for one in RULES)
 
 
-def test_rules_explain_rules():
-    known = {one.name for one in RULES}
-    assert len(known) == len(RULES)
-    for one in RULES:
-        assert set(one.explains) <= known, one.name
+def test_every_rule_states_its_symptoms():
+    assert len(rules.BY_NAME) == len(RULES)
+    known = {*get_args(TrafficSymptom), *get_args(ContentSymptom)}
+    assert [one.name for one in RULES
+            if not one.symptoms or not one.symptoms | one.accounts_for <= known] == []
+
+
+def test_every_symptom_but_a_proof_is_accounted_for_by_another_rule():
+    """A rule that says which symptoms it has is hidden by all that account for them."""
+    for symptom in (*get_args(TrafficSymptom), *get_args(ContentSymptom)):
+        having = {one.name for one in RULES if symptom in one.symptoms}
+        accounting = {one.name for one in RULES if symptom in one.accounts_for}
+        assert having, symptom
+        assert bool(accounting - having) is (symptom != 'proof'), symptom
+
+
+def test_no_two_findings_hide_each_other():
+    assert [(one.name, other.name) for one in RULES for other in RULES if one is not other
+            and one.symptoms <= other.accounts_for and other.symptoms <= one.accounts_for] == []

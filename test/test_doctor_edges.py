@@ -20,7 +20,7 @@ from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.reports import Level
 from servobus.bus import evidence as ev
 from servobus.bus.report import Counts
-from servobus.doctor.health import FACTORY
+from servobus.doctor.facts import FACTORY
 from servobus.model.control_table import Model
 
 # --- what is just enough ---------------------------------------------------------------------

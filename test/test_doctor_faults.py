@@ -41,9 +41,9 @@ from mecarover_fakes.traffic import FAMILY_1
 from mecarover_fakes.traffic import PATTERNS
 from rigs.tables import rows_of
 from servobus.bus.decoder import Settings
-from servobus.doctor import feetech
 from servobus.doctor import RULES
-from servobus.doctor import setting_up
+from servobus.doctor.rules import feetech
+from servobus.doctor.rules import setup
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 
@@ -104,7 +104,7 @@ def test_every_fault_is_among_the_cases(family):
 
 def test_every_rule_has_a_fault_or_a_case_made_by_hand():
     played = {rule for _, case in PLAYED for rule, _ in case.told}
-    assert played >= {rule.name for rule in feetech.RULES + setting_up.RULES}
+    assert played >= {rule.name for rule in feetech.RULES + setup.RULES}
     by_hand = {rule for rule, *_ in (*test_doctor_edges.ENOUGH, *test_doctor_time.DOUBTS)}
     assert {rule.name for rule in RULES} - played - by_hand == {'cycle_time'}  # test_cycle_time.py
 

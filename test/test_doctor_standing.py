@@ -16,14 +16,8 @@ from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 from servobus.bus import evidence as ev
 from servobus.bus import report as words
-from servobus.doctor import configuration
-from servobus.doctor import damage
 from servobus.doctor import Doctor
-from servobus.doctor import feetech
-from servobus.doctor import health
-from servobus.doctor import presence
-from servobus.doctor import setting_up
-from servobus.doctor import timing_rules
+from servobus.doctor import RULES
 from servobus.doctor.case import History
 
 LOST = tuple(note(ev.SOURCE_LOST, ev.Much(3), 1))
@@ -62,11 +56,6 @@ def test_a_bus_is_judged_while_there_are_bytes(last_byte_s, is_judged):
     wrong = device(moved_to='57600 Bd')
     found = Doctor().examine(silent(last_byte_s=last_byte_s, devices=[wrong]))
     assert [one.rule for one in found.findings] == ['baud_moved'] * is_judged
-
-
-RULES = [one for family in (configuration, damage, feetech, health, presence, setting_up,
-                            timing_rules)
-         for one in family.RULES]
 
 
 def test_the_states_end_with_the_state():

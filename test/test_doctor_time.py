@@ -34,12 +34,12 @@ from servobus.doctor.case import is_waiting
 from servobus.doctor.case import key_of
 from servobus.doctor.case import Sample
 from servobus.doctor.case import TwoClocks
-from servobus.doctor.collision import is_collision
-from servobus.doctor.collision import ran_into_answers
-from servobus.doctor.rate import likely_rate
+from servobus.doctor.facts import is_collision
+from servobus.doctor.facts import ran_into_answers
 from servobus.doctor.rhythm import answer_ns
 from servobus.doctor.rhythm import is_independent
 from servobus.doctor.rhythm import is_locked
+from servobus.doctor.rhythm import PeriodicTimer
 from servobus.doctor.rhythm import rhythms
 from servobus.doctor.rule import about
 from servobus.doctor.rule import Claim
@@ -47,7 +47,7 @@ from servobus.doctor.rule import Doubt
 from servobus.doctor.rule import listed
 from servobus.doctor.rule import longer_than
 from servobus.doctor.rule import share
-from servobus.doctor.two_timers import PeriodicTimer
+from servobus.doctor.rules.noise import likely_rate
 
 
 def waits(count, us, ago_s=0.0, spoilt=False):

@@ -7,7 +7,7 @@ import random
 
 import pytest
 
-from servobus.doctor.two_timers import two_timers
+from servobus.doctor.rhythm import two_timers
 
 MS = 1_000_000
 BLUR_NS = 1.0 * MS

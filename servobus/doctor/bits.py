@@ -28,27 +28,28 @@ from msg_defs.dxl_packet import STATUS
 from servobus.bus.report import BusReport
 from servobus.bus.report import PROTOCOL_2
 
-ALIKE = 1 / 8                      # fewer of the known bits are wrong: by chance half are
-ENOUGH = 8                         # wrecks, and flips, that make a picture
+KNOWN_BITS_MAX_WRONG = 1 / 8       # share; by chance half are
+PICTURE_MIN = 8                    # damaged packets, and wrong bits, that make a picture
 NEARLY_ALL = 0.9
 NEARLY_NONE = 0.1
-MOSTLY = 0.7
-OFTEN = 1 / 4                      # packets of a kind that are wrong in the same way: no chance
-SEVERAL = 16                       # distances between wrong bits that can show a period
-GAPS_KEPT = 100
-ON_TIME = 3 / 4                    # are multiples of it: by chance 1 in 5
-SAME = 1.5                         # bits: distances so near are the same one
-BOTH_WAYS = 1 / 4                  # packets with a first wrong bit that went the rarer way
-FAR = 15                           # bits: nearer ones are one pulse, not two
-LEFT = 0.4                         # share of a question's ones: in other bytes fewer fit by chance
-FLIPPED = 2                        # wrong bits: more is another packet, not noise
-GROUPS = (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ)
+SINGLE_BITS_MIN_SHARE = 0.7        # share of packets: at most two bits of their first wrong byte
+SAME_BITS_MIN_SHARE = 1 / 4        # share of packets of a kind, wrong in the same way: no chance
+GAPS_MIN = 16                      # distances between wrong bits that can show a period
+GAPS_MAX = 100
+BYTE_GRID_MIN_SHARE = 0.7          # share of the gaps, which are whole bytes: it goes with these
+PERIOD_MIN_SHARE = 3 / 4           # share of the gaps, which are multiples of it: by chance 1 in 5
+GAP_TOLERANCE_BITS = 1.5
+RARER_WAY_MIN_SHARE = 1 / 4        # share of packets, for wrong bits that go both ways
+PULSE_MAX_BITS = 15                # nearer wrong bits are of one pulse
+OVERLAID_MIN_SHARE = 0.4           # share of a question's ones: in other bytes fewer fit by chance
+NOISE_MAX_BITS = 2                 # wrong: more is another packet, not noise
+GROUP_READS = (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ)
 _Question = tuple[int, tuple[int, ...], int | None, int]     # instruction, IDs, address, length
 LINE_BITS = 10                     # a byte on the line, start and stop bit with it
 
 CLOCK = 'a wrong clock rate: the last bits of bytes are wrong'
-SPEAKERS = 'two senders at once'
-LEVEL = 'a wrong level or edge'
+TWO_SENDERS = 'two senders at once'
+SIGNAL_LEVEL = 'a wrong level or edge'
 INTERFERENCE = 'interference: single wrong bits, 0 as 1 and 1 as 0'
 PWM = 'the PWM of a motor'
 
@@ -123,7 +124,7 @@ def wrecks(noise: bytes, due: Sequence[Shape]) -> list[Wreck]:
 
 
 def _nearest(noise: bytes, at: int, due: Sequence[Shape]) -> Shape | None:
-    best, least = None, ALIKE
+    best, least = None, KNOWN_BITS_MAX_WRONG
     for shape in due:
         known = shape.known
         got = noise[at:at + len(known)]
@@ -208,13 +209,13 @@ def _one_flip_1(got: bytes) -> WrongBit | None:
 
 def look(found: Sequence[Wreck]) -> str:
     """Return what these wrecks look like, '' where that is not clear."""
-    if len(found) < ENOUGH:
+    if len(found) < PICTURE_MIN:
         return ''
     known = [wreck for wreck in found if wreck.flips]
     if len(known) < NEARLY_NONE * len(found):
-        return f'{SPEAKERS}: the headers are whole, data and checksums are not'
+        return f'{TWO_SENDERS}: the headers are whole, data and checksums are not'
     flips = [flip for wreck in known for flip in wreck.flips]
-    if len(flips) < ENOUGH:
+    if len(flips) < PICTURE_MIN:
         return ''
     if sum(flip.bit == 7 for flip in flips) >= NEARLY_ALL * len(flips):
         return CLOCK
@@ -229,17 +230,17 @@ def look(found: Sequence[Wreck]) -> str:
 def _by_direction(known: Sequence[Wreck], flips: Sequence[WrongBit]) -> str:
     """Return what makes zeros of ones, ones of zeros, or both."""
     first = [_first_byte(wreck) for wreck in known]
-    is_single = sum(len(some) <= 2 for some in first) >= MOSTLY * len(first)
+    is_single = sum(len(some) <= 2 for some in first) >= SINGLE_BITS_MIN_SHARE * len(first)
     ups = sum(some[0].is_up for some in first)
     rarer = min(ups, len(first) - ups)
-    if rarer > BOTH_WAYS * len(first):
+    if rarer > RARER_WAY_MIN_SHARE * len(first):
         return INTERFERENCE if is_single else ''
     if rarer >= NEARLY_NONE * len(first):
         return ''
     was, became = ('0', '1') if 2 * ups > len(first) else ('1', '0')
     late = [flip.is_late for flip in flips if flip.is_late is not None]
     if is_single or (late and sum(late) >= NEARLY_ALL * len(late)):
-        return f'{LEVEL}: {was} read as {became} each time'
+        return f'{SIGNAL_LEVEL}: {was} read as {became} each time'
     return ''
 
 
@@ -253,7 +254,7 @@ def _are_same(known: Sequence[Wreck]) -> bool:
     """Tell whether it is always the same bits: chance does not hit them again and again."""
     kinds = Counter((wreck.device, wreck.size) for wreck in known)
     same = sum(count for wreck, count in Counter(known).items()
-               if count >= OFTEN * kinds[wreck.device, wreck.size] and count > 1)
+               if count >= SAME_BITS_MIN_SHARE * kinds[wreck.device, wreck.size] and count > 1)
     return same >= NEARLY_ALL * len(known)
 
 
@@ -261,17 +262,17 @@ def _period(known: Sequence[Wreck]) -> int:
     """Return the distance (bits) of which the gaps between wrong bits are multiples, or 0."""
     gaps = [later.at - one.at for wreck in known for one, later in zip(
         wreck.flips, wreck.flips[1:], strict=False)
-        if one.at >= 0 and later.at - one.at >= FAR][-GAPS_KEPT:]
-    if len(gaps) < SEVERAL or _on_grid(gaps, LINE_BITS) >= MOSTLY:    # it goes with the bytes
+        if one.at >= 0 and later.at - one.at >= PULSE_MAX_BITS][-GAPS_MAX:]
+    if len(gaps) < GAPS_MIN or _on_grid(gaps, LINE_BITS) >= BYTE_GRID_MIN_SHARE:
         return 0
     fit, half_bits = max((_on_grid(gaps, halves / 2), halves) for halves in range(
-        2 * FAR, 2 * max(gaps) + 1))
-    return half_bits // 2 if fit >= ON_TIME else 0
+        2 * PULSE_MAX_BITS, 2 * max(gaps) + 1))
+    return half_bits // 2 if fit >= PERIOD_MIN_SHARE else 0
 
 
 def _on_grid(gaps: Sequence[int], period: float) -> float:
     """Return the share of distances that are near a multiple of a period."""
-    return sum(abs(gap - round(gap / period) * period) <= SAME and gap > period / 2
+    return sum(abs(gap - round(gap / period) * period) <= GAP_TOLERANCE_BITS and gap > period / 2
                for gap in gaps) / len(gaps)
 
 
@@ -293,7 +294,7 @@ def _overlaid(noise: bytes, questions: tuple[_Question, ...]) -> int:
         for shift in range(0, 8 * len(noise) - size + 1, 8):
             if not heard >> shift & whole & ~sent:
                 left = (heard >> shift & whole).bit_count()
-                found += LEFT * ones < left < ones - FLIPPED
+                found += OVERLAID_MIN_SHARE * ones < left < ones - NOISE_MAX_BITS
     return found
 
 
@@ -304,6 +305,6 @@ def packet_of(instruction: int, ids: tuple[int, ...], address: int | None, lengt
     at = address.to_bytes(2, 'little') + length.to_bytes(2, 'little')
     if instruction == Instruction.READ:
         return encode(ids[0], instruction, at)
-    if instruction in GROUPS:
+    if instruction in GROUP_READS:
         return encode(BROADCAST, instruction, at + bytes(ids))
     return b''

@@ -17,6 +17,8 @@ from functools import cached_property
 from typing import Any
 from typing import NamedTuple
 
+from msg_defs.units import NS_PER_MS
+from msg_defs.units import NS_PER_S
 from servobus.bus import evidence as ev
 from servobus.bus import report as words
 from servobus.bus.report import BusReport
@@ -33,25 +35,25 @@ from servobus.doctor.bits import look
 from servobus.doctor.bits import shapes
 from servobus.doctor.bits import Wreck
 from servobus.doctor.bits import wrecks
+from servobus.doctor.rhythm import PeriodicTimer
 from servobus.doctor.rhythm import Rhythm
 from servobus.doctor.rhythm import rhythms
-from servobus.doctor.two_timers import PeriodicTimer
-from servobus.doctor.two_timers import two_timers
+from servobus.doctor.rhythm import two_timers
+from servobus.doctor.thresholds import GONE_S
+from servobus.doctor.thresholds import WINDOW_NS
+from servobus.doctor.thresholds import WINDOW_S
 
-S = 1_000_000_000
-MS = 1_000_000
-WINDOW_NS = 10 * S
-KEPT = 1000                        # incidents of a kind; and as many marks of time
-RHYTHM_NS = 750 * MS               # between two looks at the rhythms: they cost most
-QUIET_NS = 625 * MS                # without an instruction: nothing new is judged
-REST_NS = 10 * S                   # without an instruction: what comes then is another run
-PAUSES_NS = 60 * S                 # so far back pauses of the master are usual ones
-ALWAYS = 0.9                       # this share of the time: as good as each time
-WEAK = 5                           # damaged answers
-GONE_S = 1.5                       # unanswered for so long: gone, rather than starting again
+HISTORY_MAX = 1000                 # incidents of a kind; and as many marks of time
+RHYTHM_EVERY_NS = 750 * NS_PER_MS  # rhythms cost most
+PAUSE_MIN_NS = 625 * NS_PER_MS     # without an instruction: nothing new is judged
+RUN_GAP_NS = 10 * NS_PER_S         # without an instruction: what comes then is another run
+PAUSES_KEPT_NS = 60 * NS_PER_S     # so far back pauses of the master are usual ones
+GARBLED_MIN_SHARE = 0.5            # share of its missing answers: it speaks, and noise spoils that
+GARBLED_ALL_SHARE = 0.9            # the same where noise may have come in its place
+WEAK_MIN_DAMAGED = 5               # answers in the window; of as many one may have a right sum
 
-_DAMAGE = (ev.DAMAGED_STATUS, ev.DAMAGED_INSTRUCTION, ev.CUT, ev.BAD_LENGTH)
-_FOLLOWED = ('Goal Position', 'Present Position', 'Realtime Tick', 'Present Input Voltage')
+_DAMAGE_KINDS = (ev.DAMAGED_STATUS, ev.DAMAGED_INSTRUCTION, ev.CUT, ev.BAD_LENGTH)
+_SAMPLED = ('Goal Position', 'Present Position', 'Realtime Tick', 'Present Input Voltage')
 
 
 Key = tuple[int, tuple[int, ...], int | None]  # a cycle's instruction, IDs, address
@@ -153,25 +155,26 @@ class Case:
     @cached_property
     def damage(self) -> int:
         """How many frames in the window were damaged."""
-        return sum(self.count(kind) for kind in _DAMAGE)
+        return sum(self.count(kind) for kind in _DAMAGE_KINDS)
 
     @cached_property
     def packets(self) -> int:
         """How many packets in the window were whole; a recording may have but one report."""
         if len(self.marks) > 1:
             return self.counted('packets')
-        return round(self.report.rates.get('packets', 0.0) * min(WINDOW_NS / S, self.heard_s))
+        return round(self.report.rates.get('packets', 0.0) * min(WINDOW_S, self.heard_s))
 
     @property
     def is_weak(self) -> bool:
         """Whether a damaged answer may pass for a whole one: many are, and sums have one byte."""
-        return self.damage + self.spoilt >= WEAK and self.report.protocol != words.PROTOCOL_2
+        return self.report.protocol != words.PROTOCOL_2 \
+            and self.damage + self.spoilt >= WEAK_MIN_DAMAGED
 
     @cached_property
     def damage_s(self) -> float:
         """For how long the damage has gone on, s."""
-        stamps = [one.stamp for kind in _DAMAGE for one in self.seen.get(kind, ())]
-        return (max(stamps) - min(stamps)) / S if stamps else 0.0
+        stamps = [one.stamp for kind in _DAMAGE_KINDS for one in self.seen.get(kind, ())]
+        return (max(stamps) - min(stamps)) / NS_PER_S if stamps else 0.0
 
     def looks_like(self, device: DeviceReport | None = None) -> dict[str, str]:
         """Return what the damage of a device or of all looks like, as a figure; {} if unclear."""
@@ -204,6 +207,15 @@ class Case:
         """How finely the chunks tell time: the usual time between two of them."""
         return _blur_ms(self.report)
 
+    def stamp_ago(self, seconds: float) -> int:
+        """Return the stamp (ns) of so long ago."""
+        return self.now - int(seconds * NS_PER_S)
+
+    def times_asked(self, cycle: Cycle, seconds: float = WINDOW_S) -> int:
+        """Return how often an instruction was repeated since so long ago."""
+        since = self.stamp_ago(seconds)
+        return sum(stamp > since for stamp in cycle.stamps)
+
     def was_asked(self, begin: int, end: int, but: Cycle) -> bool:
         """Tell whether anything else was asked between two stamps, or in the same chunks."""
         return any(begin <= stamp <= end for cycle in self.report.cycles if cycle is not but
@@ -215,18 +227,18 @@ class Case:
 
     def mark(self, seconds: float) -> Mark:
         """Return the counts of so long ago, or the oldest there are."""
-        before = self.now - int(seconds * S)
+        before = self.now - int(seconds * NS_PER_S)    # without a call: many ask
         return next((mark for mark in reversed(self.marks) if mark.stamp <= before),
                     self.marks[0])
 
-    def counted(self, name: str, seconds: float = 10.0) -> int:
+    def counted(self, name: str, seconds: float = WINDOW_S) -> int:
         """Return how much a count of a Mark grew in so long a time."""
         return int(getattr(self.mark(0), name) - getattr(self.mark(seconds), name))
 
     @property
     def heard_s(self) -> float:
         """For how long the bus was heard."""
-        return (self.now - self.report.started) / S
+        return (self.now - self.report.started) / NS_PER_S
 
     @property
     def last_wait(self) -> Wait | None:
@@ -236,7 +248,7 @@ class Case:
 
     def waits(self, seconds: float) -> list[Wait]:
         """Return the vain waits of the master since so long ago."""
-        before = self.now - int(seconds * S)
+        before = self.now - int(seconds * NS_PER_S)
         return [wait for wait in self.report.waits if wait.stamp >= before]
 
 
@@ -250,8 +262,9 @@ def is_gone(device: DeviceReport, has_sides: bool = False) -> bool:
     silent = device.state == words.DISCONNECTED or (
         device.state in (words.EXPECTED, words.ASKED) and device.missed_in_a_row > 4)
     # Damaged is not silent; of one that was never heard, noise may have come in its place.
-    part = 0.5 if has_sides or device.last_heard_s is not None else ALWAYS
-    speaks = device.window.garbled > part * device.window.missed
+    least = GARBLED_MIN_SHARE if has_sides or device.last_heard_s is not None \
+        else GARBLED_ALL_SHARE
+    speaks = device.window.garbled > least * device.window.missed
     return silent and not speaks and (device.last_heard_s is None or device.last_heard_s > GONE_S)
 
 
@@ -276,7 +289,7 @@ class History:
         """Forget everything: the counts begin at 0."""
         self._last: Incident[Any] | None = None
         self._seen: dict[str, deque[Incident[Any]]] = {}
-        self._marks: deque[Mark] = deque(maxlen=KEPT)
+        self._marks: deque[Mark] = deque(maxlen=HISTORY_MAX)
         self._samples: dict[int, deque[Sample]] = {}
         self._repeats: dict[int, int] = {}
         self._rhythms: tuple[int, list[Rhythm]] = (0, [])
@@ -285,8 +298,8 @@ class History:
         self._clocks: dict[Key, TwoClocks] = {}
         self._asked = self._pause = 0  # stamp of the last instruction, and how old it was
         self._run_from = self._overlapped = 0
-        self._pauses: deque[tuple[int, int]] = deque(maxlen=KEPT)
-        self._wrecks: deque[tuple[int, Wreck]] = deque(maxlen=KEPT)
+        self._pauses: deque[tuple[int, int]] = deque(maxlen=HISTORY_MAX)
+        self._wrecks: deque[tuple[int, Wreck]] = deque(maxlen=HISTORY_MAX)
         self._noise = 0                # bytes of it that were looked at
 
     def take(self, report: BusReport) -> Case:
@@ -302,7 +315,7 @@ class History:
         for many in self._seen.values():
             while many and many[0].stamp < before:
                 many.popleft()
-        fresh = report.stamp - self._rhythms[0] >= RHYTHM_NS
+        fresh = report.stamp - self._rhythms[0] >= RHYTHM_EVERY_NS
         if fresh:
             self._rhythms = (report.stamp, rhythms(report.cycles, report.stamp, report.baud))
             self._steady |= {key_of(one.cycle) for one in self._rhythms[1] if one.is_even}
@@ -331,7 +344,7 @@ class History:
         self._clocks = {key: one for key, one in self._clocks.items() if one.stamp >= before}
         for rhythm in self._rhythms[1]:
             timers = None if rhythm.is_even else two_timers(rhythm.cycle.stamps,
-                                                          MS * _blur_ms(report))
+                                                          NS_PER_MS * _blur_ms(report))
             if timers is not None:
                 self._clocks[key_of(rhythm.cycle)] = TwoClocks(report.stamp, rhythm.cycle, timers)
 
@@ -358,19 +371,19 @@ class History:
             self._note_run(report)
             self._asked = report.asked
         self._pause = pause
-        while self._pauses and self._pauses[0][0] < report.stamp - PAUSES_NS:
+        while self._pauses and self._pauses[0][0] < report.stamp - PAUSES_KEPT_NS:
             self._pauses.popleft()
         usual = max((one for _, one in self._pauses), default=0)
-        return pause / S if pause > max(QUIET_NS, 2 * usual) else 0.0
+        return pause / NS_PER_S if pause > max(PAUSE_MIN_NS, 2 * usual) else 0.0
 
     def _note_run(self, report: BusReport) -> None:
         """Note where the master began again, after a long pause or for the first time."""
-        if self._asked and report.asked - self._asked < REST_NS:
+        if self._asked and report.asked - self._asked < RUN_GAP_NS:
             return
         since = max(self._asked + 1, report.started)
         first = min([stamp for cycle in report.cycles for stamp in cycle.stamps
                      if stamp >= since], default=report.asked)
-        if not self._asked or first - self._asked >= REST_NS:
+        if not self._asked or first - self._asked >= RUN_GAP_NS:
             self._run_from = first
 
     def _take_incidents(self, incidents: tuple[Incident[Any], ...]) -> None:
@@ -382,7 +395,7 @@ class History:
         seen = self._seen
         for incident in reversed(new):
             if incident.kind not in seen:
-                seen[incident.kind] = deque(maxlen=KEPT)
+                seen[incident.kind] = deque(maxlen=HISTORY_MAX)
             seen[incident.kind].append(incident)
         self._last = incidents[-1] if incidents else None
 
@@ -393,8 +406,8 @@ class History:
                 if device.id in self._samples:     # it restarted, so they say nothing of now
                     del self._samples[device.id]
                 continue
-            goal, position, tick, voltage = (values.get(name) for name in _FOLLOWED)
-            samples = self._samples.setdefault(device.id, deque(maxlen=KEPT))
+            goal, position, tick, voltage = (values.get(name) for name in _SAMPLED)
+            samples = self._samples.setdefault(device.id, deque(maxlen=HISTORY_MAX))
             samples.append(Sample(case.now, goal and goal.value.raw,
                                   position and position.value.raw,
                                   tick and tick.value.number, voltage and voltage.value.number))

@@ -12,16 +12,14 @@ from typing import NamedTuple
 
 from servobus.bus.report import BusReport
 from servobus.bus.report import Finding
-from servobus.doctor import RULES
-from servobus.doctor import timing_rules
+from servobus.doctor.rules import accounts_for
+from servobus.doctor.rules import RANKS
+from servobus.doctor.rules import timing
 from servobus.plain import printable
-
-_RANK = {rule.name: rank for rank, rule in enumerate(RULES)}
-_EXPLAINS = {rule.name: rule.explains for rule in RULES}
 
 _Key = tuple[str, int | None]
 _SILENT = 'all_silent', None
-NEEDS_TIMES = frozenset(rule.name for rule in timing_rules.RULES)
+NEEDS_TIMES = frozenset(rule.name for rule in timing.RULES)
 
 
 class Logged(NamedTuple):
@@ -67,14 +65,12 @@ class FindingLog:
         """Return the findings: the worst first, then those that still stand, causes first."""
         return sorted((one for one in self._entries.values() if not self._is_explained(one)),
                       key=lambda one: (-one.finding.level, not one.stands,
-                                       _RANK.get(one.finding.rule, len(_RANK))))
+                                       RANKS[one.finding.rule]))
 
     def _is_explained(self, one: Logged) -> bool:
         """Tell whether another finding accounts for one that is over."""
-        rule, device = one.finding.rule, one.finding.device
-        return not one.stands and any(
-            rule in _EXPLAINS.get(by.finding.rule, ()) and by is not one
-            and by.finding.device in (None, device) for by in self._entries.values())
+        return not one.stands and any(accounts_for(cause.finding, one.finding)
+                                      for cause in self._entries.values())
 
 
 class BusSummary(NamedTuple):

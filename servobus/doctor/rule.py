@@ -7,22 +7,23 @@ A claim names a cause; a doubt says that the evidence is there and does not deci
 of time before the case: how long a claim lasts is the Doctor's.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Iterator
 from collections.abc import Mapping
+from collections.abc import Set
+from dataclasses import dataclass
+from dataclasses import replace
 from math import log
 from typing import Any
 from typing import NamedTuple
 
 from msg_defs.reports import Level
 from servobus.bus.report import IncidentKind
+from servobus.doctor.symptom import Symptom
 
-RECENT_S = 10.0                    # a value that is older says nothing of now
-
-# What follows from many causes, for `explains`.
-SILENCE = ('no_answer', 'sync_read_stops', 'broken_cable', 'missed_answers', 'jitter')
-DAMAGE = ('noise', 'damaged_answers', 'missed_answers', 'dropout', 'stray_bytes', 'jitter')
 ANSWER = 'answer'                  # for `rests_on`: the last answer to any instruction
 FAMILY_1 = ('1', 'feetech')        # as model files call the protocols of the 1.0 family
 
@@ -32,7 +33,7 @@ class Claim(NamedTuple):
     A cause found; device None = the bus. covers: devices with trouble of this cause.
 
     rests_on: the register of these devices whose value it is about, or ANSWER; then registers that
-    decide what the value means. It does not end while the first is not seen again (last_read.py).
+    decide what the value means. It does not end while the first is not seen again (standing.py).
     """
 
     message: str
@@ -64,27 +65,36 @@ Found = Claim | Doubt
 Claims = Iterator[Found]
 
 
-class Rule(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Rule:
     """
-    One cause. name: as in the key finding.<name> and in docs/doctor.md.
+    One cause: a decorator of the check that finds it, which has its name.
 
-    check: from a case to what is found; with `each` or `noted` from a case and a device to what
-    is found of it, or None. explains: rules with claims that follow from this one, on its device
-    and those it covers, and of the bus; a claim about the bus explains those of all devices.
+    The docstring of the check is its row in docs/doctor.md: what is seen, and what to do.
+    accounts_for: symptoms that follow, of the device of a claim and those that it covers, and of
+    the bus; those of all devices, where it is about the bus.
     """
 
-    name: str
-    check: Callable[..., Any]
-    explains: tuple[str, ...] = ()
+    symptoms: Set[Symptom]         # what its findings consist of
+    accounts_for: Set[Symptom] = frozenset()
+    subject: str = 'device'        # or 'bus', or both
     level: Level = Level.WARN
     onset_s: float = 0.0           # claimed without a break for so long, before it is reported
     holds: bool = True             # lasts some seconds longer than its evidence; a state does not
-    each: bool = False
+    each_device: bool = False
     # What it is asked of: all, or where there are such incidents, models of these protocols, a
     # model that was named: the registers alone may be known by what the program uses.
-    noted: tuple[IncidentKind[Any], ...] = ()
+    needs_incident: tuple[IncidentKind[Any], ...] = ()
     protocols: tuple[str, ...] = ()
     needs_model: bool = False
+    name: str = ''                 # as in the key finding.<name>
+    # From a case to what is found; with `each_device` or `needs_incident` from a case and a
+    # device to what is found of it, or None.
+    check: Callable[..., Any] = iter
+
+    def __call__(self, check: Callable[..., Any]) -> Rule:
+        """Return the rule with its check."""
+        return replace(self, name=check.__name__, check=check)
 
 
 def share(part: float, whole: float) -> str:

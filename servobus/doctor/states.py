@@ -18,15 +18,15 @@ from servobus.bus.decoder import Settings
 from servobus.bus.device import WINDOW_S
 from servobus.bus.report import BusReport
 from servobus.bus.report import DeviceReport
-from servobus.doctor import damage
-from servobus.doctor import health
 from servobus.doctor.case import Names
+from servobus.doctor.facts import is_rate_search
+from servobus.doctor.rules.devices import latched
+from servobus.doctor.rules.noise import NO_PACKETS
 
-_CRC_ERRORS_PER_S = 1.0
+_DAMAGED_WARN_PER_S = 1.0
 _LOST = (words.DISCONNECTED, words.EXPECTED)
-PINGS = 2                      # an ID that is only searched for gets so many
-RATES = 3                      # a program that sets its own has two, with that of the port
-_NAMED = 5                     # lost devices in the message of a bus
+SEARCH_PINGS_MAX = 2                      # an ID that is only searched for gets so many
+_NAMED_MAX = 5                     # lost devices in the message of a bus
 # What a list of devices says of some states.
 LISTED_AS = {words.CONNECTED: 'answers', words.EXPECTED: 'expected, never heard',
              words.ASKED: 'asked, never heard', words.SILENT: 'not asked at present'}
@@ -34,7 +34,7 @@ LISTED_AS = {words.CONNECTED: 'answers', words.EXPECTED: 'expected, never heard'
 
 def judged(report: BusReport, settings: Settings, names: Names) -> BusReport:
     """Return a report with the state, level and message of each device and of the bus."""
-    if len(report.tried) > RATES:      # a search: most answers are missed
+    if is_rate_search(report):      # a search: most answers are missed
         settings = settings._replace(warn_loss=100.0)
     devices = tuple(_device(one, settings) for one in report.devices)
     level, message = _bus(report, devices, names)
@@ -43,7 +43,7 @@ def judged(report: BusReport, settings: Settings, names: Names) -> BusReport:
 
 def _device(device: DeviceReport, settings: Settings) -> DeviceReport:
     totals = device.totals
-    is_wanted = device.missed_in_a_row > PINGS and (totals.reads or totals.writes)
+    is_wanted = device.missed_in_a_row > SEARCH_PINGS_MAX and (totals.reads or totals.writes)
     if device.moved_to and (is_wanted or not device.moved_to.startswith(words.NEW_ID)):
         found = words.MOVED, Level.WARN, f'set to {device.moved_to} by a write'
     elif device.missed_in_a_row > settings.missed_limit:
@@ -67,19 +67,19 @@ def _never_heard(device: DeviceReport) -> tuple[str, Level, str]:
         return words.EXPECTED, Level.ERROR, 'expected, but never heard'
     totals = device.totals
     if totals.not_served or device.missed_in_a_row > (0 if totals.reads or totals.writes
-                                                      else PINGS):
+                                                      else SEARCH_PINGS_MAX):
         return words.ASKED, Level.WARN, 'asked, but never heard'
     return words.ASKED, Level.STALE, 'addressed, but never asked and never heard'
 
 
 def _degraded(device: DeviceReport, settings: Settings) -> tuple[Level, str]:
-    fault = health.latched(device)
+    fault = latched(device)
     window = device.window
     if fault is not None:
         return fault.level or Level.ERROR, fault.message
     if window.loss * 100 > settings.warn_loss:
         return Level.WARN, f'{window.missed} of {window.asked} answers missed'
-    if window.damaged > _CRC_ERRORS_PER_S * WINDOW_S:
+    if window.damaged > _DAMAGED_WARN_PER_S * WINDOW_S:
         return Level.WARN, f'{number(window.damaged / WINDOW_S)} damaged answers per second'
     return Level.OK, 'connected'
 
@@ -88,7 +88,7 @@ def _bus(bus: BusReport, devices: Sequence[DeviceReport], names: Names) -> tuple
     if not bus.counters['Bytes'] and bus.last_byte_s is None:
         return Level.STALE, 'nothing heard yet'
     if not bus.counters['Packets'] and bus.is_answered:
-        return Level.WARN, damage.NO_PACKETS.format(bauds=names.bauds)
+        return Level.WARN, NO_PACKETS.format(bauds=names.bauds)
     connected = sum(device.state == words.CONNECTED for device in devices)
     lost = [device.name for device in devices if device.state in _LOST]
     message = (f'none of {len(devices)} devices answers' if lost and not connected
@@ -103,5 +103,5 @@ def _bus(bus: BusReport, devices: Sequence[DeviceReport], names: Names) -> tuple
 
 def _lost_words(names: Sequence[str]) -> str:
     """Return '; lost: 007 left_knee, 008' for the message of a bus, '' when nothing is lost."""
-    more = f' and {len(names) - _NAMED} more' if len(names) > _NAMED else ''
-    return f'; lost: {", ".join(names[:_NAMED])}{more}' if names else ''
+    more = f' and {len(names) - _NAMED_MAX} more' if len(names) > _NAMED_MAX else ''
+    return f'; lost: {", ".join(names[:_NAMED_MAX])}{more}' if names else ''

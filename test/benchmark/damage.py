@@ -28,8 +28,8 @@ KNOWN = (1, 2, 3)                  # the limits were set with these seeds
 BLIND = (2301, 2302, 2303, 2304)   # and not with these
 SECONDS = 9
 BOOT = 1000 * S
-_LOOKS = {bits.CLOCK: wrecked.CLOCK, bits.LEVEL: wrecked.LEVEL, bits.PWM: wrecked.PWM,
-          bits.INTERFERENCE: wrecked.INTERFERENCE, bits.SPEAKERS: wrecked.SPEAKERS}
+_LOOKS = {bits.CLOCK: wrecked.CLOCK, bits.SIGNAL_LEVEL: wrecked.LEVEL, bits.PWM: wrecked.PWM,
+          bits.INTERFERENCE: wrecked.INTERFERENCE, bits.TWO_SENDERS: wrecked.SPEAKERS}
 _RULES = {'turnaround': wrecked.TURN, 'stray_bytes': wrecked.STRAY}
 _MODELS = Models()
 

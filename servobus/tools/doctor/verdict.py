@@ -22,7 +22,7 @@ from servobus.doctor.finding_log import BusSummary
 from servobus.doctor.finding_log import Logged
 from servobus.doctor.finding_log import NEEDS_TIMES
 from servobus.doctor.states import LISTED_AS
-from servobus.doctor.states import RATES
+from servobus.doctor.thresholds import PROGRAM_RATES_MAX
 from servobus.plain import printable
 from servobus.plain_data import bus_data
 from servobus.plain_data import device_data
@@ -121,7 +121,7 @@ def _head(buses: Sequence[BusSummary], seconds: float, is_timed: bool) -> tuple[
     reports = [bus.report for bus in buses]
     rates = sorted({report.baud for report in reports})
     parts = [f'{" and ".join(map(str, rates))} baud'] if any(rates) else []
-    if any(len(report.tried) > RATES for report in reports):
+    if any(len(report.tried) > PROGRAM_RATES_MAX for report in reports):
         parts = ['several baud rates']
     if is_timed:
         parts.append(f'{seconds:.1f} s')

@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rules about servos that were not set up for this robot: ID, supply, table of another series."""
+"""Servos that were never set up for this robot: ID, supply, table of another series."""
 
 from __future__ import annotations
 
@@ -12,45 +12,53 @@ from msg_defs.reports import Level
 from servobus.bus import evidence as ev
 from servobus.bus.report import DeviceReport
 from servobus.doctor.case import Case
-from servobus.doctor.health import ALIVE_VOLTS
-from servobus.doctor.health import last_read
-from servobus.doctor.health import limit_of
-from servobus.doctor.health import SUPPLY
+from servobus.doctor.facts import ALIVE_MIN_VOLTS
+from servobus.doctor.facts import last_read
+from servobus.doctor.facts import limit_of
+from servobus.doctor.facts import SUPPLY
 from servobus.doctor.rule import Claim
 from servobus.doctor.rule import Claims
-from servobus.doctor.rule import DAMAGE
 from servobus.doctor.rule import Doubt
 from servobus.doctor.rule import FAMILY_1
 from servobus.doctor.rule import Found
 from servobus.doctor.rule import in_full
 from servobus.doctor.rule import listed
 from servobus.doctor.rule import Rule
-from servobus.doctor.rule import SILENCE
+from servobus.doctor.symptom import DAMAGE
+from servobus.doctor.symptom import SILENCE
+from servobus.doctor.thresholds import INCIDENTS_MIN
+from servobus.doctor.thresholds import SUPPLY_MIN_DEVICES
+from servobus.doctor.thresholds import WINDOW_NS
 from servobus.model.control_table import Model
 
-S = 1_000_000_000
-FEW = 3
 FACTORY_ID = 1
-CLASHES = 0.5                      # share of its answers: a bad cable spoils fewer
-BEYOND = 1.25                      # times the limit: made for another supply, not just near it
-FOR_12_V = 12.0                    # a limit from here on: the servo is made for 12 V
-WEAK = 8.6                         # V: two cells; an empty battery of three has more
-ONSET_S = 3.0                      # a supply that sags for a moment is none
-ALL = 3                            # as many: it is the supply, not one servo
+CLASH_MIN_SHARE = 0.5              # share of its answers: a bad cable spoils fewer
+SUPPLY_MAX_FACTOR = 1.25           # times the limit: made for another supply, not just near it
+SUPPLY_12_V_MIN = 12.0             # a limit from here on: the servo is made for 12 V
+SUPPLY_LOW_V = 8.6                 # two cells; an empty battery of three has more
+SUPPLY_ONSET_S = 3.0               # a supply that sags for a moment is none
 TABLE_END = 256                    # no address above it exists there
-RECENT_NS = 10 * S
-DUMP = 4                           # bytes: who reads more at once, looks at all there is
+ACCESS_MAX_BYTES = 4               # who reads more at once, looks at all there is
 # The registers there in other series (e-Manual; Feetech, memory tables of STS and SCS).
-_ELSEWHERE = {30: 'Goal Position of AX and MX', 36: 'Present Position of AX and MX',
-              48: 'Lock of SCS', 55: 'Lock of STS', 64: 'Torque Enable of X',
-              116: 'Goal Position of X', 132: 'Present Position of X'}
+_OTHER_SERIES = {30: 'Goal Position of AX and MX', 36: 'Present Position of AX and MX',
+                 48: 'Lock of SCS', 55: 'Lock of STS', 64: 'Torque Enable of X',
+                 116: 'Goal Position of X', 132: 'Present Position of X'}
 
 
-def _factory_id(case: Case) -> Claims:
+@Rule(level=Level.ERROR,
+      symptoms={'second answers', 'silent device'},
+      accounts_for={*SILENCE, *DAMAGE, 'second answers', 'silent bus', 'damaged first bytes',
+                    'unasked answers', 'wrong length', 'late answers', 'slow cycle'})
+def factory_id(case: Case) -> Claims:
+    """
+    Several new servos have ID 1.
+
+    Do: connect them one at a time, give each its own ID.
+    """
     first = case.devices.get(FACTORY_ID)
     absent = [device.id for device in case.report.devices if device is not first
               and device.last_heard_s is None
-              and max(device.missed_in_a_row, device.acks_missing) >= FEW
+              and max(device.missed_in_a_row, device.acks_missing) >= INCIDENTS_MIN
               and 2 * device.window.garbled <= device.window.missed]
     if first is None or not absent or not _clashes(case, first):
         return
@@ -64,23 +72,32 @@ def _factory_id(case: Case) -> Claims:
 def _clashes(case: Case, device: DeviceReport) -> bool:
     """Tell whether more than one device answers: twice, or over each other most of the time."""
     window = device.window
-    return case.count(ev.SECOND_ANSWER, device) >= FEW or (
-        window.spoilt >= FEW and window.spoilt >= CLASHES * window.asked)
+    return case.count(ev.SECOND_ANSWER, device) >= INCIDENTS_MIN or (
+        window.spoilt >= INCIDENTS_MIN and window.spoilt >= CLASH_MIN_SHARE * window.asked)
 
 
-def _wrong_supply(case: Case) -> Claims:
+@Rule(level=Level.ERROR, onset_s=SUPPLY_ONSET_S,
+      symptoms={'proof'},
+      accounts_for={'voltage limit', 'error bits', 'joint at rest'})
+def wrong_supply(case: Case) -> Claims:
+    """
+    A 7.4 V servo on 12 V; WARN: a 12 V servo on 7.4 V (1.0 family).
+
+    Do: compare its label with the supply.
+    """
     high, low, unknown = [], [], []
     for device in case.report.devices:
         volts = last_read(case, device, SUPPLY[0])
-        if device.model.protocol not in FAMILY_1 or volts is None or volts < ALIVE_VOLTS:
+        if device.model.protocol not in FAMILY_1 or volts is None or volts < ALIVE_MIN_VOLTS:
             continue
         limit, is_of_model = limit_of(case, device, 'Max Voltage Limit', 'high')
         if limit is None or (is_of_model and device.model.protocol != '1'):
             unknown += [device.id] * (device.model.number is not None)
-        elif volts > BEYOND * limit:
+        elif volts > SUPPLY_MAX_FACTOR * limit:
             high.append((device, volts, limit))
         # What was higher before, or is below the lowest, is a supply that sags.
-        elif limit >= FOR_12_V and max(volts, case.highest.get(device.id, 0.0)) < WEAK \
+        elif limit >= SUPPLY_12_V_MIN \
+                and max(volts, case.highest.get(device.id, 0.0)) < SUPPLY_LOW_V \
                 and volts >= (limit_of(case, device, 'Min Voltage Limit', 'low')[0] or 0.0):
             low.append((device, volts, limit))
     yield from _supply_claims(high, 'far above its limit of {limit:.1f} V: a servo for a lower '
@@ -97,7 +114,7 @@ def _supply_claims(found: list[tuple[DeviceReport, float, float]], words: str,
                    level: Level) -> Iterator[Claim]:
     """Claim each, or the first for all where it is many: then it is the supply."""
     ids = tuple(device.id for device, _, _ in found)
-    many = len(found) >= ALL
+    many = len(found) >= SUPPLY_MIN_DEVICES
     for device, volts, limit in found[:1] if many else found:
         others = f', {len(ids) - 1} others too' if many else ''
         yield Claim(f'at {volts:.0f} V, ' + words.format(limit=limit, others=others),
@@ -107,7 +124,14 @@ def _supply_claims(found: list[tuple[DeviceReport, float, float]], words: str,
                     rests_on=SUPPLY)
 
 
-def _layout(case: Case, device: DeviceReport) -> Found | None:
+@Rule(each_device=True, protocols=FAMILY_1, needs_model=True,
+      symptoms={'proof'})
+def layout(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Reads or writes that cut a register (1.0 family).
+
+    Do: use the table of its model.
+    """
     order = case.values[device.id].get('Byte Order')
     place = device.model.by_name.get('Present Position')
     if order is not None and place is not None \
@@ -116,11 +140,11 @@ def _layout(case: Case, device: DeviceReport) -> Found | None:
                      f'{device.model_name} are not: set its real model in {case.names.devices}')
     refused = {one.detail.address for one in case.incidents(ev.REFUSED, device)}
     for cycle in case.report.cycles:
-        if cycle.address is None or device.id not in cycle.ids or cycle.asked < FEW \
-                or cycle.address in refused or cycle.stamps[-1] < case.now - RECENT_NS:
+        if cycle.address is None or device.id not in cycle.ids or cycle.asked < INCIDENTS_MIN \
+                or cycle.address in refused or cycle.stamps[-1] < case.now - WINDOW_NS:
             continue
         first = device.model.by_address.get(cycle.address)
-        is_low_byte = first is not None and first.at == cycle.address not in _ELSEWHERE \
+        is_low_byte = first is not None and first.at == cycle.address not in _OTHER_SERIES \
             and cycle.length == 1 and cycle.instruction == Instruction.WRITE
         unfit = _unfit(device.model, cycle.address, cycle.length)
         if unfit and not is_low_byte:      # which is enough for a small number
@@ -134,21 +158,14 @@ def _unfit(model: Model, begin: int, length: int) -> str:
     """Return why an access does not fit the registers of a model, '' where it does."""
     end = begin + length
     fields = [field for field in model.fields if field.at < TABLE_END]
-    elsewhere = f' ({_ELSEWHERE[begin]})' if begin in _ELSEWHERE else ''
+    elsewhere = f' ({_OTHER_SERIES[begin]})' if begin in _OTHER_SERIES else ''
     for field in fields:
         if any(field.at < edge < field.end for edge in (begin, end)):
             return f'which cuts {field.name} ({field.at}, {field.size} bytes){elsewhere}'
-    if length <= DUMP and begin < TABLE_END \
+    if length <= ACCESS_MAX_BYTES and begin < TABLE_END \
             and not any(field.at < end and field.end > begin for field in fields):
         return f'where {model.name} has no register{elsewhere}'
     return ''
 
 
-RULES = (
-    Rule('factory_id', _factory_id,
-         (*SILENCE, *DAMAGE, 'duplicate_id', 'all_silent', 'turnaround', 'foreign_answers',
-          'wrong_length', 'late_answers', 'cycle_time'), level=Level.ERROR),
-    Rule('wrong_supply', _wrong_supply, ('voltage', 'hardware_error', 'torque_off'),
-         onset_s=ONSET_S, level=Level.ERROR),
-    Rule('layout', _layout, each=True, protocols=FAMILY_1, needs_model=True),
-)
+RULES = (factory_id, wrong_supply, layout)

@@ -11,16 +11,16 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from msg_defs.units import NS_PER_S
 from servobus.bus import evidence as ev
 from servobus.doctor.case import Case
 from servobus.doctor.rule import ANSWER
 from servobus.doctor.rule import Claim
-from servobus.doctor.rule import RECENT_S
 from servobus.doctor.rule import Rule
+from servobus.doctor.thresholds import WINDOW_S
 
-S = 1_000_000_000
-ROUNDING_NS = 1000                 # an age is a float
-TODAY_S = 43_200                   # a time of day is clear for so long
+AGE_ROUNDING_NS = 1000                 # an age is a float
+TIME_OF_DAY_MAX_S = 43_200                   # a time of day is clear for so long
 _VERBS = {'r': 'read', 'w': 'written'}
 _UNITS = (('days', 86_400), ('h', 3600), ('min', 60), ('s', 1))
 
@@ -70,11 +70,11 @@ def dated(case: Case, one: Standing) -> Standing:
     reading = one.reading
     if reading is None:
         return one
-    age_s = (case.now - reading.stamp) / S
-    if age_s <= RECENT_S and not one.has_restarted:
+    age_s = (case.now - reading.stamp) / NS_PER_S
+    if age_s <= WINDOW_S and not one.has_restarted:
         return one
     spell = case.names.time_of_day
-    when = f'at {spell(reading.stamp)}' if spell is not None and age_s < TODAY_S \
+    when = f'at {spell(reading.stamp)}' if spell is not None and age_s < TIME_OF_DAY_MAX_S \
         else f'{_ago(age_s)} ago'
     message = (f'{reading.text}{", " if reading.text else ""}last {reading.verb} {when}'
                f'{", restarted since" if one.has_restarted else ""}; {one.claim.message}')
@@ -87,7 +87,7 @@ def _read_last(case: Case, claim: Claim) -> Reading | None:
     numbers = _devices(claim)
     if name == ANSWER:
         [ago_s] = (case.devices[number].last_heard_s for number in numbers)
-        return None if ago_s is None else Reading(case.now - int(ago_s * S), 'heard', '', ())
+        return None if ago_s is None else Reading(case.stamp_ago(ago_s), 'heard', '', ())
     tables = [case.values[number] for number in numbers
               if number in case.values and name in case.values[number]]
     if not tables:
@@ -100,14 +100,14 @@ def _read_last(case: Case, claim: Claim) -> Reading | None:
     if len(numbers) == 1:
         unit, text = seen.field.unit, seen.value.text       # a unit, unless the value is a word
         text = f'{text} {unit}' if unit and text[-1:].isdigit() else f'{seen.field.name} {text}'
-    return Reading(case.now - int(seen.age_s * S), _VERBS[seen.source], text,
+    return Reading(case.stamp_ago(seen.age_s), _VERBS[seen.source], text,
                    tuple([table[other].value.raw if other in table else None
                           for table in tables for other in others]))
 
 
 def _is_same(one: Reading, other: Reading) -> bool:
     """Tell whether nothing was seen since one of them."""
-    return abs(one.stamp - other.stamp) < ROUNDING_NS and one.others == other.others
+    return abs(one.stamp - other.stamp) < AGE_ROUNDING_NS and one.others == other.others
 
 
 def _has_restarted(case: Case, claim: Claim, reading: Reading | None) -> bool:

@@ -1,20 +1,24 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rules about a device's own state, as its control table and its alert bit tell it."""
+"""The devices themselves: their own state, as control table and alert bit tell it."""
 
 from __future__ import annotations
 
 from math import inf
 from operator import ne
-from operator import sub
-from typing import NamedTuple
 
 from msg_defs.reports import Level
 from servobus.bus import evidence as ev
 from servobus.bus import report as words
 from servobus.bus.report import DeviceReport
-from servobus.bus.table import Observed
 from servobus.doctor.case import Case
+from servobus.doctor.facts import ALIVE_MIN_VOLTS
+from servobus.doctor.facts import is_off
+from servobus.doctor.facts import is_watched
+from servobus.doctor.facts import last_read
+from servobus.doctor.facts import limit_of
+from servobus.doctor.facts import RANGE_ERROR
+from servobus.doctor.facts import SUPPLY
 from servobus.doctor.rule import ANSWER
 from servobus.doctor.rule import Claim
 from servobus.doctor.rule import Claims
@@ -22,20 +26,20 @@ from servobus.doctor.rule import Doubt
 from servobus.doctor.rule import Found
 from servobus.doctor.rule import in_full
 from servobus.doctor.rule import listed
-from servobus.doctor.rule import RECENT_S
 from servobus.doctor.rule import Rule
+from servobus.doctor.thresholds import INCIDENTS_MIN
+from servobus.doctor.thresholds import SUPPLY_MIN_DEVICES
+from servobus.doctor.thresholds import TURN_STEPS
+from servobus.doctor.thresholds import WINDOW_S
 
-NEAR_DEGREES = 5.0
-NEAR_VOLTS = 0.3
-ALIVE_VOLTS = 1.0                  # a device with less does not answer: the register is not it
-TRIPPED = (0xFF, -1)
-RANGE = 4
-TURN, EDGE = 4096, 1024            # steps of a turn; so near its ends
-GOAL_SIZE = 2                      # bytes: with four a position does not end there
-FRESH_S = 3.0
-WATCHED_NS = 500_000_000
-FEW, TWICE = 3, 2
-BY_CHANCE = 8                      # damaged answers to one error byte: their sum has one byte
+NEAR_DEGREES = 5.0                 # to its limit: a load that goes on brings it there
+NEAR_VOLTS = 0.3                   # to a limit: a motion takes it there
+WATCHDOG_TRIPPED = (0xFF, -1)
+EDGE_STEPS = 1024                  # so near the ends of a turn it may jump across
+GOAL_BYTES = 2                     # with four a position does not end at a turn
+GOAL_FRESH_S = 3.0
+WRAPS_MIN = 2                      # across the end of the turn and back
+ERROR_BYTE_BY_CHANCE = 8           # damaged answers to one error byte: their sum has one byte
 _FREE_IT = ('free the joint or reduce its load; then switch its torque off and on, or its power '
             'if that does not help')
 # What to do about an error bit of the 1.0 family, by a part of its name; the first that fits.
@@ -48,58 +52,27 @@ _REMEDIES = {
     'current': _FREE_IT}
 _OF_SUPPLY = 'voltage'     # ends the name of the first bit of the 1.0 family where it is alone
 _HEAT = 'Present Temperature', 'Temperature Limit'
-SUPPLY = 'Present Input Voltage', 'Min Voltage Limit', 'Max Voltage Limit'
 _ERRORS = ('Hardware Error Status', 'Error Code')
 
 
-class Limits(NamedTuple):
+@Rule(level=Level.ERROR, holds=False, each_device=True,
+      symptoms={'error bits'})
+def hardware_error(_: Case, device: DeviceReport) -> Found | None:
     """
-    The limits that a servo has from the factory, for where the master never read its own.
+    The alert bit; WARN until Hardware Error Status is read.
 
-    Initial values of Temperature Limit, Min and Max Voltage Limit in the control tables
-    (e-Manual). degrees: °C; low and high: V.
+    In the 1.0 family it is the state of now.
+
+    Do: remove the cause, then Reboot (Dynamixel 2.0).
     """
-
-    degrees: float
-    low: float
-    high: float
-
-
-_MX = Limits(80.0, 9.5, 16.0)
-_AX = Limits(70.0, 6.0, 14.0)
-_MX_1 = Limits(80.0, 6.0, 16.0)
-# By model number. A model that is not here is not judged before its own limits are seen.
-FACTORY = {
-    12: _AX, 18: _AX, 300: _AX,                    # AX-12A, AX-18A, AX-12W
-    29: _MX_1, 310: _MX_1, 320: _MX_1, 360: _MX_1,  # MX-28, MX-64, MX-106, MX-12W (1.0)
-    311: _MX, 321: _MX, 30: _MX,                   # MX-64, MX-106, MX-28 (2.0)
-    1020: Limits(80.0, 9.5, 16.0), 1030: Limits(80.0, 9.5, 16.0),      # XM430-W350, XM430-W210
-    1060: Limits(72.0, 6.0, 14.0),                 # XL430-W250
-    1120: Limits(80.0, 10.0, 16.0), 1130: Limits(80.0, 10.0, 16.0),    # XM540-W270, XM540-W150
-    1190: Limits(70.0, 3.5, 7.0), 1200: Limits(70.0, 3.5, 7.0),        # XL330-M077, XL330-M288
-}
-
-
-def last_read(case: Case, device: DeviceReport, name: str, within_s: float = inf) -> float | None:
-    """Return the value of a register, as it was read last."""
-    seen = case.values[device.id].get(name)
-    return None if seen is None or seen.age_s > within_s or seen.source != 'r' \
-        else seen.value.number
-
-
-def is_watched(case: Case, device: DeviceReport, place: Observed) -> bool:
-    """Tell whether a register is read all the time, rather than where a motion ends."""
-    return any(device.id in one.ids and one.address is not None and len(one.stamps) > FEW
-               and one.address <= place.field.at < one.address + one.length
-               and max(map(sub, one.stamps[1:], one.stamps)) < WATCHED_NS
-               for one in case.report.cycles)
+    return None if device.last_error.endswith(_OF_SUPPLY) else latched(device)
 
 
 def latched(device: DeviceReport) -> Claim | None:
     """Return the hardware error of a device, by its alert bit."""
     is_2 = device.protocol == words.PROTOCOL_2
     if not device.alert or not device.window.alerts \
-            or (not is_2 and BY_CHANCE * device.window.alerts <= device.window.spoilt):
+            or (not is_2 and ERROR_BYTE_BY_CHANCE * device.window.alerts <= device.window.spoilt):
         return None
     values = {one.field.name: one for one in device.observed}
     torque = ', torque is off' if is_off(values.get('Torque Enable')) else ''
@@ -120,24 +93,43 @@ def latched(device: DeviceReport) -> Claim | None:
                  rests_on=(ANSWER,))
 
 
-def is_off(torque: Observed | None) -> bool:
-    """Tell whether Torque Enable was read and is 0."""
-    return torque is not None and torque.source == 'r' and not torque.value.raw
+@Rule(level=Level.ERROR, each_device=True,
+      symptoms={'proof'},
+      accounts_for={'refused address', 'refused access', 'joint at rest'})
+def watchdog(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Bus Watchdog has stopped it.
+
+    Do: write 0 to it; write goals more often.
+    """
+    seen = case.values[device.id].get('Bus Watchdog')
+    if seen is None:
+        return None
+    refused = sum(one.detail.error == RANGE_ERROR and _is_goal(device, one.detail.address)
+                  for one in case.incidents(ev.REFUSED, device)) \
+        if case.count(ev.REFUSED, device) else 0
+    tripped = seen.source == 'r' and seen.value.raw in WATCHDOG_TRIPPED
+    if not tripped and not (refused >= INCIDENTS_MIN and seen.value.raw):
+        return None
+    return Claim(f'Bus Watchdog tripped, {refused} goals refused: the master was '
+                 'silent too long; write 0 to Bus Watchdog, then send goals without such gaps',
+                 {'goals refused': refused, 'read': 'yes' if tripped else 'no'},
+                 rests_on=('Bus Watchdog',) if tripped else ())
 
 
-def limit_of(case: Case, device: DeviceReport, name: str,
-             factory: str) -> tuple[float | None, str]:
-    """Return a limit and where it is from: the device, or its model's factory values."""
-    seen = case.values[device.id].get(name)
-    if seen is not None and seen.value.number is not None:
-        return seen.value.number, ''
-    values = FACTORY.get(device.model_number or -1)
-    if factory == 'degrees' and device.model.number is None and device.model.protocol != 'feetech':
-        return max(one.degrees for one in FACTORY.values()), ' or less'
-    return (None, '') if values is None else (getattr(values, factory), ' from the factory')
+def _is_goal(device: DeviceReport, address: int) -> bool:
+    field = device.model.by_address.get(address)
+    return field is not None and field.name.startswith('Goal')
 
 
-def _too_hot(case: Case) -> Claims:
+@Rule(level=Level.ERROR,
+      symptoms={'proof'})
+def too_hot(case: Case) -> Claims:
+    """
+    At its Temperature Limit; WARN from 5 degrees below.
+
+    Do: less load, more air.
+    """
     unknown = []
     for device in case.report.devices:
         temperature = last_read(case, device, _HEAT[0])
@@ -160,18 +152,26 @@ def _level(is_beyond: bool) -> Level:
     return Level.ERROR if is_beyond else Level.WARN
 
 
-def _voltage(case: Case) -> Claims:
+@Rule(subject='device or bus', level=Level.ERROR,
+      symptoms={'voltage limit'},
+      accounts_for={'voltage limit'})
+def voltage(case: Case) -> Claims:
+    """
+    Outside its limits, or its error byte says so (1.0 family); WARN within 0.3 V of them.
+
+    Do: charge the battery, use thicker cables.
+    """
     unknown, pinged = [], []
     found = []
     for device in case.report.devices:
         said = latched(device) if device.last_error.endswith(_OF_SUPPLY) else None
         # An error bit of now says more than a value of then.
-        volts = last_read(case, device, SUPPLY[0], RECENT_S if said else inf)
+        volts = last_read(case, device, SUPPLY[0], WINDOW_S if said else inf)
         if said and device.totals.answers == device.totals.pongs:
             pinged.append(device.id)
-        elif said and (volts is None or volts < ALIVE_VOLTS):
+        elif said and (volts is None or volts < ALIVE_MIN_VOLTS):
             found.append(said)
-        if volts is None or volts < ALIVE_VOLTS:
+        if volts is None or volts < ALIVE_MIN_VOLTS:
             continue
         low, source = limit_of(case, device, 'Min Voltage Limit', 'low')
         high, _ = limit_of(case, device, 'Max Voltage Limit', 'high')
@@ -188,7 +188,7 @@ def _voltage(case: Case) -> Claims:
         elif said:
             found.append(said._replace(figures={'voltage (V)': f'{volts:.1f}'}))
     yield from found
-    if len(found) >= FEW:
+    if len(found) >= SUPPLY_MIN_DEVICES:
         yield Claim(f'{len(found)} devices near or beyond a voltage limit: the supply is '
                     'the cause; measure it, charge the battery, check cable gauge',
                     {'devices': in_full([one.device for one in found if one.device])},
@@ -207,49 +207,27 @@ def _supply(device: DeviceReport, volts: float, is_beyond: bool, where: str) -> 
                  _level(is_beyond), device=device.id, rests_on=SUPPLY)
 
 
-def _watchdog(case: Case, device: DeviceReport) -> Found | None:
-    seen = case.values[device.id].get('Bus Watchdog')
-    if seen is None:
-        return None
-    refused = sum(one.detail.error == RANGE and _is_goal(device, one.detail.address)
-                  for one in case.incidents(ev.REFUSED, device)) \
-        if case.count(ev.REFUSED, device) else 0
-    tripped = seen.source == 'r' and seen.value.raw in TRIPPED
-    if not tripped and not (refused >= FEW and seen.value.raw):
-        return None
-    return Claim(f'Bus Watchdog tripped, {refused} goals refused: the master was '
-                 'silent too long; write 0 to Bus Watchdog, then send goals without such gaps',
-                 {'goals refused': refused, 'read': 'yes' if tripped else 'no'},
-                 rests_on=('Bus Watchdog',) if tripped else ())
+@Rule(each_device=True,
+      symptoms={'proof'})
+def range_wraps(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Positions jump between 4095 and 0 while goals are sent (1.0 family).
 
-
-def _is_goal(device: DeviceReport, address: int) -> bool:
-    field = device.model.by_address.get(address)
-    return field is not None and field.name.startswith('Goal')
-
-
-def _range_wraps(case: Case, device: DeviceReport) -> Found | None:
+    Do: calibrate with the joint in the middle of its range.
+    """
     goal, place = map(case.values[device.id].get, ('Goal Position', 'Present Position'))
-    if goal is None or goal.source != 'w' or goal.age_s > FRESH_S \
-            or goal.field.size != GOAL_SIZE \
+    if goal is None or goal.source != 'w' or goal.age_s > GOAL_FRESH_S \
+            or goal.field.size != GOAL_BYTES \
             or place is None or not is_watched(case, device, place):
         return None
     places = [one.position for one in case.samples.get(device.id, ()) if one.position is not None]
-    beyond = [place < EDGE for place in places if place < EDGE or TURN - EDGE <= place < TURN]
-    if len(beyond) < len(places) or sum(map(ne, beyond, beyond[1:])) < TWICE:
+    beyond = [place < EDGE_STEPS for place in places
+              if place < EDGE_STEPS or TURN_STEPS - EDGE_STEPS <= place < TURN_STEPS]
+    if len(beyond) < len(places) or sum(map(ne, beyond, beyond[1:])) < WRAPS_MIN:
         return None                            # it goes the long way, as it can
-    return Claim(f'its joint moves across the end of the turn, from {TURN - 1} to 0, '
+    return Claim(f'its joint moves across the end of the turn, from {TURN_STEPS - 1} to 0, '
                  'where goals make it turn the long way round: calibrate it again, with the joint '
                  'in the middle of its range', rests_on=('Present Position',))
 
 
-RULES = (
-    Rule('hardware_error', lambda _, device: None
-         if device.last_error.endswith(_OF_SUPPLY) else latched(device),
-         holds=False, each=True, level=Level.ERROR),
-    Rule('watchdog', _watchdog, ('wrong_address', 'refused', 'torque_off'),
-         each=True, level=Level.ERROR),
-    Rule('too_hot', _too_hot, level=Level.ERROR),
-    Rule('voltage', _voltage, ('voltage',), level=Level.ERROR),
-    Rule('range_wraps', _range_wraps, each=True),
-)
+RULES = (hardware_error, watchdog, too_hot, voltage, range_wraps)

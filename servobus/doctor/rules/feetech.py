@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rules about Feetech servos: what is peculiar to EEPROM, baud codes and calibration there."""
+"""Feetech servos: what is peculiar to EEPROM, baud codes and calibration there."""
 
 from __future__ import annotations
 
@@ -16,22 +16,31 @@ from servobus.doctor.rule import Doubt
 from servobus.doctor.rule import FAMILY_1
 from servobus.doctor.rule import Found
 from servobus.doctor.rule import listed
-from servobus.doctor.rule import RECENT_S
 from servobus.doctor.rule import Rule
-from servobus.doctor.rule import SILENCE
+from servobus.doctor.symptom import SILENCE
+from servobus.doctor.thresholds import WINDOW_S
 
 FEETECH = 'feetech'
 # What LeRobot takes these codes for (its tables of Feetech motors, commit 7427f31).
 LEROBOT_BAUDS = {5: 57_600, 6: 38_400, 7: 19_200}
-TWICE = 2
-MIDDLE, STEPS = 2047, 1           # where LeRobot puts the middle; as near as a goal is met
-SIGN = 0x800                       # in Homing Offset (Feetech, STS memory table)
+CALIBRATIONS_MIN = 2
+MIDDLE_STEPS = 2047                # where LeRobot puts the middle
+OFFSET_TOLERANCE_STEPS = 1         # as near as a goal is met
+OFFSET_SIGN = 0x800                # in Homing Offset (Feetech, STS memory table)
 # What Lock does to a write of EEPROM (e-Manual, Protocol 1.0; Feetech, STS memory table).
 _OF_LOCK = {'1': ('ignores it', 'switch its power off and on to unlock it'),
             FEETECH: ('forgets it at power-off', 'write 0 to Lock before it, and 1 after it')}
 
 
-def _baud_code(case: Case, device: DeviceReport) -> Found | None:
+@Rule(needs_incident=(ev.BAUD_WRITTEN,), protocols=(FEETECH,),
+      symptoms={'proof'},
+      accounts_for={*SILENCE, 'changed rate'})
+def baud_code(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Baud Rate code 5 to 7, which Feetech and LeRobot read differently.
+
+    Do: look for the servo at Feetech's rate.
+    """
     code = case.incidents(ev.BAUD_WRITTEN, device)[-1].detail.value
     taken_for = LEROBOT_BAUDS.get(code)
     field = device.model.by_name.get('Baud Rate')      # the servo may prove to be another one
@@ -43,7 +52,14 @@ def _baud_code(case: Case, device: DeviceReport) -> Found | None:
                  {'code': code})
 
 
-def _locked(case: Case, device: DeviceReport) -> Found | None:
+@Rule(each_device=True, protocols=FAMILY_1,
+      symptoms={'proof'})
+def lock(case: Case, device: DeviceReport) -> Found | None:
+    """
+    EEPROM written while Lock is 1.
+
+    Do: write 0 to Lock before it, and 1 after it.
+    """
     values = case.values[device.id]
     lock = values.get('Lock')
     written = [device.model.by_address[one.detail.value].name for one in
@@ -51,7 +67,7 @@ def _locked(case: Case, device: DeviceReport) -> Found | None:
     if lock is None or lock.value.raw == 1:
         written += [one.field.name for one in device.observed if one.source == 'w'
                     and one.field.memory == 'eeprom' and (
-                        lock is None or one.age_s < min(lock.age_s, RECENT_S))]
+                        lock is None or one.age_s < min(lock.age_s, WINDOW_S))]
     if not written:
         return None
     if lock is None:
@@ -62,31 +78,45 @@ def _locked(case: Case, device: DeviceReport) -> Found | None:
                  {'written': ', '.join(dict.fromkeys(written))})
 
 
-def _calibrated_twice(case: Case, device: DeviceReport) -> Found | None:
+@Rule(needs_incident=(ev.CALIBRATED, ev.OFFSET_WRITTEN),
+      symptoms={'proof'})
+def calibrated_twice(case: Case, device: DeviceReport) -> Found | None:
+    """
+    The new offset includes the old one, or was measured with it.
+
+    Do: write 0 to Homing Offset, calibrate once.
+    """
     times = case.count(ev.CALIBRATED, device)
-    if times >= TWICE:
+    if times >= CALIBRATIONS_MIN:
         return Claim(f'calibrated {times} times within 10 s: each time its present '
                      'position becomes the middle; do it once, with the joint in the middle',
                      {'times': times})
     offsets = case.incidents(ev.OFFSET_WRITTEN, device)
     for now, before, place in (one.detail for one in offsets):
-        if now and before and abs(_signed(now) - (place - MIDDLE)) <= STEPS:
+        if now and before and abs(_signed(now) - (place - MIDDLE_STEPS)) <= OFFSET_TOLERANCE_STEPS:
             return Claim(f'Homing Offset {_signed(now)} written: its position less '
-                         f'{MIDDLE}, as it was with the offset {_signed(before)}, so the new one '
-                         'is wrong by that; write 0, measure again')
-    last = offsets[-1] if len(offsets) >= TWICE else None
+                         f'{MIDDLE_STEPS}, as it was with the offset {_signed(before)}, so the '
+                         'new one is wrong by that; write 0, measure again')
+    last = offsets[-1] if len(offsets) >= CALIBRATIONS_MIN else None
     if last is None or not (last.detail.now and last.detail.before):
         return None
-    return Claim(f'Homing Offset written {len(offsets)} times within 10 s, {TWICE} '
+    return Claim(f'Homing Offset written {len(offsets)} times within 10 s, {CALIBRATIONS_MIN} '
                  'without 0 between: the new offset includes the old one; write 0, measure '
                  'again', {'now, before': f'{last.detail.now}, {last.detail.before}'})
 
 
 def _signed(offset: int) -> int:
-    return offset if offset < SIGN else SIGN - offset
+    return offset if offset < OFFSET_SIGN else OFFSET_SIGN - offset
 
 
-def _mixed_firmware(case: Case) -> Claims:
+@Rule(subject='bus',
+      symptoms={'proof'})
+def mixed_firmware(case: Case) -> Claims:
+    """
+    One model with different firmware.
+
+    Do: update them.
+    """
     by_model: defaultdict[str, dict[int, str]] = defaultdict(dict)
     for device in case.report.devices:
         if device.model.protocol == FEETECH:
@@ -106,11 +136,4 @@ def _mixed_firmware(case: Case) -> Claims:
                         {'versions': ', '.join(sorted(count))})
 
 
-RULES = (
-    Rule('baud_code', _baud_code,
-         (*SILENCE, 'baud_moved'),
-         noted=(ev.BAUD_WRITTEN,), protocols=(FEETECH,)),
-    Rule('lock', _locked, each=True, protocols=FAMILY_1),
-    Rule('calibrated_twice', _calibrated_twice, noted=(ev.CALIBRATED, ev.OFFSET_WRITTEN)),
-    Rule('mixed_firmware', _mixed_firmware),
-)
+RULES = (baud_code, lock, calibrated_twice, mixed_firmware)

@@ -1,0 +1,220 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Facts of a case that rules of several families use.
+
+What the registers of a device say; the question on which a program ended; and what shows that two
+talked at the same time, which no cable and no ground can mend.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import inf
+from operator import sub
+from typing import NamedTuple
+
+from msg_defs.dxl_instruction import Instruction
+from msg_defs.units import NS_PER_S
+from servobus.bus import evidence as ev
+from servobus.bus import report as words
+from servobus.bus.report import BusReport
+from servobus.bus.report import Cycle
+from servobus.bus.report import DeviceReport
+from servobus.bus.report import Incident
+from servobus.bus.report import PROTOCOL_2
+from servobus.bus.report import Wait
+from servobus.bus.table import Observed
+from servobus.doctor.bits import GROUP_READS
+from servobus.doctor.bits import laid_over
+from servobus.doctor.bits import NOISE_MAX_BITS
+from servobus.doctor.bits import packet_of
+from servobus.doctor.bits import TWO_SENDERS
+from servobus.doctor.bits import wrong_bits
+from servobus.doctor.case import Case
+from servobus.doctor.thresholds import INCIDENTS_MIN
+from servobus.doctor.thresholds import PROGRAM_RATES_MAX
+
+LOST_BITS_MIN_SHARE = 0.3          # share of damaged instructions; bits turned over by chance: 0.1
+TAIL_BYTES = 6                     # the CRC is among them, so they are not there by chance
+ALIVE_MIN_VOLTS = 1.0              # a device with less does not answer: the register is not it
+WATCHED_EVERY_NS = NS_PER_S // 2   # rarer reads are of a program that waits for a motion's end
+SUPPLY = 'Present Input Voltage', 'Min Voltage Limit', 'Max Voltage Limit'
+SINGLE_WRITES = (Instruction.WRITE, Instruction.REG_WRITE)
+# Error numbers of a status (e-Manual, Protocol 2.0).
+INSTRUCTION_ERROR, RANGE_ERROR, LENGTH_ERROR, LIMIT_ERROR, ACCESS_ERROR = 2, 4, 5, 6, 7
+
+
+# --- registers -----------------------------------------------------------------------------------
+
+class Limits(NamedTuple):
+    """
+    The limits that a servo has from the factory, for where the master never read its own.
+
+    Initial values of Temperature Limit, Min and Max Voltage Limit in the control tables
+    (e-Manual). degrees: °C; low and high: V.
+    """
+
+    degrees: float
+    low: float
+    high: float
+
+
+_MX = Limits(80.0, 9.5, 16.0)
+_AX = Limits(70.0, 6.0, 14.0)
+_MX_1 = Limits(80.0, 6.0, 16.0)
+# By model number. A model that is not here is not judged before its own limits are seen.
+FACTORY = {
+    12: _AX, 18: _AX, 300: _AX,                    # AX-12A, AX-18A, AX-12W
+    29: _MX_1, 310: _MX_1, 320: _MX_1, 360: _MX_1,  # MX-28, MX-64, MX-106, MX-12W (1.0)
+    311: _MX, 321: _MX, 30: _MX,                   # MX-64, MX-106, MX-28 (2.0)
+    1020: Limits(80.0, 9.5, 16.0), 1030: Limits(80.0, 9.5, 16.0),      # XM430-W350, XM430-W210
+    1060: Limits(72.0, 6.0, 14.0),                 # XL430-W250
+    1120: Limits(80.0, 10.0, 16.0), 1130: Limits(80.0, 10.0, 16.0),    # XM540-W270, XM540-W150
+    1190: Limits(70.0, 3.5, 7.0), 1200: Limits(70.0, 3.5, 7.0),        # XL330-M077, XL330-M288
+}
+
+
+def is_rate_search(report: BusReport) -> bool:
+    """Tell whether a program tries one baud rate after the other, so that most answers fail."""
+    return len(report.tried) > PROGRAM_RATES_MAX
+
+
+def last_read(case: Case, device: DeviceReport, name: str, within_s: float = inf) -> float | None:
+    """Return the value of a register, as it was read last."""
+    seen = case.values[device.id].get(name)
+    return None if seen is None or seen.age_s > within_s or seen.source != 'r' \
+        else seen.value.number
+
+
+def limit_of(case: Case, device: DeviceReport, name: str,
+             factory: str) -> tuple[float | None, str]:
+    """Return a limit and where it is from: the device, or its model's factory values."""
+    seen = case.values[device.id].get(name)
+    if seen is not None and seen.value.number is not None:
+        return seen.value.number, ''
+    values = FACTORY.get(device.model_number or -1)
+    if factory == 'degrees' and device.model.number is None and device.model.protocol != 'feetech':
+        return max(one.degrees for one in FACTORY.values()), ' or less'
+    return (None, '') if values is None else (getattr(values, factory), ' from the factory')
+
+
+def is_watched(case: Case, device: DeviceReport, place: Observed) -> bool:
+    """Tell whether a register is read all the time, rather than where a motion ends."""
+    return any(device.id in one.ids and one.address is not None and len(one.stamps) > INCIDENTS_MIN
+               and one.address <= place.field.at < one.address + one.length
+               and max(map(sub, one.stamps[1:], one.stamps)) < WATCHED_EVERY_NS
+               for one in case.report.cycles)
+
+
+def is_off(torque: Observed | None) -> bool:
+    """Tell whether Torque Enable was read and is 0."""
+    return torque is not None and torque.source == 'r' and not torque.value.raw
+
+
+# --- the question on which a program ended -------------------------------------------------------
+
+def ended_on(case: Case) -> Wait | None:
+    """Return the vain wait on which a program ended with an error, None if that is unknown."""
+    last = case.last_wait
+    if not case.report.failed or last is None or last.is_spoilt or read_late(case):
+        return None
+    if case.report.failed == words.RAISED:
+        return last
+    answered = min((one.last_heard_s for one in case.report.devices
+                    if one.last_heard_s is not None), default=0.0)
+    is_ping = last.instruction == Instruction.PING
+    silent = sum(one.last_heard_s is None for one in case.report.devices)
+    if is_ping and silent > 1:
+        return None                    # a search
+    alike = [one.stamp for one in case.report.waits
+             if (one.instruction == Instruction.PING) == is_ping]
+    return None if len(alike) > 1 and alike[0] < case.now - answered * NS_PER_S else last
+
+
+def read_late(case: Case) -> Incident[ev.Lateness] | None:
+    """Return the late answer that a program got for its last question, on which it ended."""
+    last = case.last_wait
+    asked = [one.stamp - 1000 * one.detail.us for one in case.incidents(ev.LEFT_OPEN)] \
+        if last is None else [last.stamp - 1000 * last.us]
+    return next((one for one in case.incidents(ev.LATE) if case.report.failed
+                 and asked and one.stamp > asked[-1]), None)
+
+
+# --- two senders at once -------------------------------------------------------------------------
+
+# A line that two drive is low where either pulls it low: of what both send, bits get lost and none
+# is added. And what began later goes on alone when the other is over, so that the end of a
+# question is in the noise after the answer that it ran into, without the header that it had.
+
+def may_overlap(case: Case) -> bool:
+    """Tell whether damage in answers may be packets that overlap, so that it is no cable's."""
+    if is_collision(case) or case.has_overlaps:
+        return True
+    # Where the sides are known, it would have been seen that somebody did not wait.
+    return not case.report.has_sides \
+        and case.looks_like().get('looks like', '').startswith(TWO_SENDERS)
+
+
+@lru_cache(maxsize=1)              # several rules ask it of one case
+def is_collision(case: Case) -> bool:
+    """
+    Tell whether damage is what two talkers at once make.
+
+    Two loops repeat one instruction, and a question was laid over something; or questions are in
+    the noise with bits lost and none added; or damaged instructions of Protocol 2.0 are.
+    """
+    if laid_over_answers(case) or (
+            case.clocks and case.damage >= INCIDENTS_MIN and ran_into_answers(case)):
+        return True
+    if case.report.protocol != PROTOCOL_2:
+        return False
+    damaged = case.incidents(ev.DAMAGED_INSTRUCTION)
+    if len(damaged) < INCIDENTS_MIN:
+        return False
+    used = {front for cycle in case.report.cycles if (front := _front_of(cycle)) is not None}
+    mixed = sum(_has_lost_bits(one.detail, used) for one in damaged)
+    return mixed >= INCIDENTS_MIN and mixed >= LOST_BITS_MIN_SHARE * len(damaged)
+
+
+def _has_lost_bits(front: ev.Front, used: set[ev.Front]) -> bool:
+    """Tell whether this begins no packet of the master, and is one of its with bits cleared."""
+    return front not in used and any(
+        front.instruction & ~one.instruction == 0 and front.length & ~one.length == 0
+        for one in used)
+
+
+def _front_of(cycle: Cycle) -> ev.Front | None:
+    """Return how the packets of an instruction begin after their ID, None where that varies."""
+    code, many = cycle.instruction, len(cycle.ids)
+    if code == Instruction.PING:
+        return ev.Front(code, 3)
+    if code == Instruction.READ:
+        return ev.Front(code, 7)
+    if code in SINGLE_WRITES:
+        return ev.Front(code, 5 + cycle.length)
+    if code in GROUP_READS:
+        return ev.Front(code, 7 + many)
+    if code == Instruction.SYNC_WRITE:
+        return ev.Front(code, 7 + many * (1 + cycle.length))
+    return None
+
+
+def ran_into_answers(case: Case) -> int:
+    """Return how many questions ran into an answer, as far as the last noise shows it."""
+    noise = case.report.noise
+    found = 0
+    for cycle in case.report.cycles if case.damage else ():
+        packet = packet_of(cycle.instruction, cycle.ids, cycle.address, cycle.length)
+        at = noise.find(packet[-TAIL_BYTES:]) if packet else -1
+        while at >= 0:
+            begin = at + TAIL_BYTES - len(packet)
+            found += begin >= 0 \
+                and wrong_bits(noise[begin:at], packet[:-TAIL_BYTES]) > NOISE_MAX_BITS
+            at = noise.find(packet[-TAIL_BYTES:], at + TAIL_BYTES)
+    return found
+
+
+def laid_over_answers(case: Case) -> bool:
+    """Tell whether questions were wholly inside something else, as far as the last noise."""
+    return case.damage >= INCIDENTS_MIN and laid_over(case.report) >= INCIDENTS_MIN

@@ -1,0 +1,573 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Devices are missing: gone, cut off, started again, or heard to Pings only."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from operator import ne
+from statistics import median
+
+from msg_defs.dxl_instruction import Instruction
+from msg_defs.dxl_packet import BROADCAST
+from msg_defs.reports import Level
+from msg_defs.units import NS_PER_MS
+from msg_defs.units import NS_PER_S
+from servobus.bus import evidence as ev
+from servobus.bus import report as words
+from servobus.bus.report import DeviceReport
+from servobus.bus.report import Incident
+from servobus.bus.table import IDENTITY
+from servobus.bus.unread import HUNG_NS
+from servobus.doctor.case import Case
+from servobus.doctor.case import is_waiting
+from servobus.doctor.case import Sample
+from servobus.doctor.facts import ended_on
+from servobus.doctor.facts import is_off
+from servobus.doctor.facts import is_rate_search
+from servobus.doctor.facts import is_watched
+from servobus.doctor.facts import read_late
+from servobus.doctor.rule import about
+from servobus.doctor.rule import Claim
+from servobus.doctor.rule import Claims
+from servobus.doctor.rule import Doubt
+from servobus.doctor.rule import Found
+from servobus.doctor.rule import in_full
+from servobus.doctor.rule import listed
+from servobus.doctor.rule import longer_than
+from servobus.doctor.rule import Rule
+from servobus.doctor.rule import share
+from servobus.doctor.symptom import SILENCE
+from servobus.doctor.thresholds import GONE_S
+from servobus.doctor.thresholds import INCIDENTS_MIN
+from servobus.doctor.thresholds import STILL_MAX_STEPS
+
+AWAY_MIN_MS = 100                  # shorter than any start; longer than an answer or two lost
+DIP_MAX_SHARE = 0.9                # share of the voltage now: lower before, and the supply sagged
+RETURN_SETTLED_S = 2.0             # by then a restart has shown
+TICK_TURN_S, TICK_SLACK_S = 32.768, 0.5        # Realtime Tick begins at 0 again (e-Manual)
+MISSED_MIN_SHARE = 0.01            # share of its answers; fewer are lost on a healthy bus too
+LATE_MIN_SHARE = 0.1               # share of its answers; fewer are late by chance
+ADAPTER_HOLD_US = 20_000           # so long an adapter may hold an answer back (latency timer)
+ACKS_MISSED_LIMIT = 4              # as `missed_limit`
+GOAL_MOVES_STEPS = 20              # a goal that changes less may be held by friction
+GOAL_FAR_STEPS = 200               # farther than what holds a joint bends
+STOPPED_MIN_S = 1.0                # standing still for so long means something
+STILL_MIN_S = 2.5                  # the same where its torque was not read
+FOLLOW_WINDOW_S = 4.0              # samples of so long show whether it follows
+_MOTION = 'Present Position', 'Torque Enable'
+_OF_THE_MASTER = ", and that the program uses the servos' baud rate, protocol and ID"
+
+
+# --- nothing answers -----------------------------------------------------------------------------
+
+@Rule(subject='bus', level=Level.ERROR,
+      symptoms={'absence of several'},
+      accounts_for={'restart', 'absence', 'missed answers', 'voltage limit', 'uneven rhythm',
+                    'joint at rest'})
+def brown_out(case: Case) -> Claims:
+    """
+    Several devices restarted at once; WARN: all were silent together, and are back.
+
+    Do: check battery, cable gauge, peak load.
+    """
+    absences = _absences(case)
+    if not absences:
+        return
+    last = max(absences, key=lambda one: one.stamp)
+    begin = last.stamp - last.detail.ms * NS_PER_MS
+    together = [one for one in absences if one.stamp > begin]
+    if len({one.device for one in together}) == 1:     # others waited for it, unasked
+        together += [other for number, device in case.devices.items()
+                     if number != last.device and device.window.not_served and not device.alert
+                     and (_restart_proof(case, other := replace(last, device=number))
+                          or _dip(case, number))]
+    ids = sorted({one.device for one in together})
+    proofs = [proof for one in together if (proof := _restart_proof(case, one) or
+                                            _dip(case, one.device))]
+    if len(ids) > 1 and proofs:
+        yield Claim(f'{listed(ids, 2)} restarted together ({proofs[0]}): the supply failed; '
+                    'check battery and cables, set up again',
+                    {'devices': in_full(ids), 'seen by': proofs[0]}, covers=tuple(ids))
+    elif _was_with_all(case, last, ids):
+        yield Claim(f'{listed(ids, 2)} were silent together for {last.detail.ms} ms: the '
+                    'supply or the first cable failed for a moment; check both, and whether '
+                    'torque and settings are as before',
+                    {'devices': in_full(ids)}, Level.WARN, covers=tuple(ids))
+
+
+def _was_with_all(case: Case, back: Incident[ev.SilentFor], ids: list[int]) -> bool:
+    """Tell whether nothing at all answered while a device was away, and several were asked."""
+    begin = back.stamp - back.detail.ms * NS_PER_MS
+    waits = [one for one in case.report.waits if begin < one.stamp <= back.stamp]
+    asked = {cycle.ids[0] for cycle in case.report.cycles for stamp in cycle.stamps
+             if cycle.ids != (BROADCAST,) and (begin < stamp < back.stamp or (
+                 begin < cycle.stamps[0] and len(cycle.stamps) < cycle.asked))}     # or unknown
+    return len(waits) >= INCIDENTS_MIN and not _hurries(case) and {*ids} >= asked \
+        and not any(one.is_spoilt for one in waits) and len({one.device for one in waits}) > 1
+
+
+def _dip(case: Case, number: int) -> str:
+    voltages = [one.voltage for one in case.samples.get(number, ()) if one.voltage]
+    if voltages and min(voltages) < DIP_MAX_SHARE * voltages[-1]:
+        return f'{number:03} measured {min(voltages):.1f} V before, {voltages[-1]:.1f} V now'
+    return ''
+
+
+@Rule(subject='bus', level=Level.ERROR, holds=False,
+      symptoms={'silent bus'},
+      accounts_for={'silent device', 'device not served', 'answers to Pings only',
+                    'uneven rhythm', 'slow cycle'})
+def all_silent(case: Case) -> Claims:
+    """
+    Several devices asked, no answer for 1.5 s, or not one byte came back.
+
+    Do: switch their power on, check the first cable; if the robot moves, connect the monitor
+    to the data line.
+    """
+    asked, heard = case.counted('instructions', GONE_S), case.counted('answers', GONE_S)
+    missing = [device.id for device in case.report.devices
+               if device.missed_in_a_row or is_waiting(device)]
+    figures = {'instructions': asked or case.report.counters['Instructions']}     # or too short
+    is_new = all(device.last_heard_s is None for device in case.report.devices)
+    if _waits_for_one(case, missing) or _hurries(case, 1) or (missing and all(
+            _is_ping_only(case, case.devices[number]) for number in missing)):
+        return
+    if len(missing) > 1 and ((case.report.failed and is_new)
+                             or (asked >= 5 and heard <= 0 and case.gone)):
+        first = case.gone[0] if len(case.gone) == 1 else None
+        alone = '' if first is None else f'; or {first:03} is dead and the others wait for it'
+        hint = '' if case.report.has_sides else '; or only the master is heard'
+        yield Claim(f'none of {len(missing)} devices answers the master: check power and '
+                    f'first cable{_OF_THE_MASTER if is_new else alone}{hint}', figures)
+    elif not case.report.is_answered and _asks_in_vain(case):
+        yield Claim('not one byte comes back to the program: check power and first cable'
+                    f'{_OF_THE_MASTER}', figures)
+
+
+def _asks_in_vain(case: Case) -> bool:
+    """Tell whether a program that never got a byte waits long and often enough for one."""
+    report = case.report
+    if case.count(ev.LATE) or (is_rate_search(report) and not report.is_over):
+        return False
+    pings = sum(cycle.asked for cycle in report.cycles if cycle.instruction == Instruction.PING)
+    if not report.is_over:
+        return bool(report.failed) or pings >= INCIDENTS_MIN
+    return bool(report.failed or pings) or len(report.waits) >= INCIDENTS_MIN
+
+
+def _waits_for_one(case: Case, missing: list[int]) -> bool:
+    """Tell whether all others were heard and wait for one that never was."""
+    return len(case.gone) == 1 and all(
+        device.last_heard_s is None if device.id in case.gone
+        else device.last_heard_s is not None and device.waiting_behind == case.gone[0]
+        for device in map(case.devices.__getitem__, missing))
+
+
+def _hurries(case: Case, least: int = INCIDENTS_MIN) -> bool:
+    """Tell whether the master waits too short a time for most adapters, and answers come late."""
+    return case.count(ev.LATE) >= least and min(
+        (one.us for one in case.report.waits), default=ADAPTER_HOLD_US) < ADAPTER_HOLD_US
+
+
+@Rule(level=Level.ERROR, holds=False,
+      symptoms={'silent device', 'device not served'},
+      accounts_for=SILENCE)
+def broken_cable(case: Case) -> Claims:
+    """
+    The last two or more of `devices`, listed in cable order, are gone.
+
+    Do: check the cable between the two named.
+    """
+    chain = [number for number in case.report.chain if number in case.devices]
+    tail = 0
+    while tail < len(chain) and _cut_off(case, chain[-1 - tail]):
+        tail += 1
+    lost = chain[len(chain) - tail:]
+    if 0 < tail < len(chain) and sum(number in case.gone for number in lost) > 1:
+        yield Claim('it and everything downstream are silent: the cable between '
+                    f'{chain[-1 - tail]:03} and {lost[0]:03} is broken or unplugged',
+                    {'silent': in_full(lost)}, covers=tuple(lost), device=lost[0])
+
+
+def _cut_off(case: Case, number: int) -> bool:
+    return number in case.gone or is_waiting(case.devices[number])
+
+
+@Rule(level=Level.ERROR, holds=False,
+      symptoms={'device not served'},
+      accounts_for={'silent device', 'missed answers', 'uneven rhythm'})
+def sync_read_stops(case: Case) -> Claims:
+    """
+    No answer, and devices after it in a Sync Read or Bulk Read are never read.
+
+    Do: repair this one first, or take it out of the list.
+    """
+    return _gone(case, True)
+
+
+@Rule(level=Level.ERROR, holds=False,
+      symptoms={'silent device'},
+      accounts_for={'missed answers', 'uneven rhythm'})
+def no_answer(case: Case) -> Claims:
+    """
+    More answers missed in a row than `missed_limit`.
+
+    WARN where it was only written to, and others acknowledge writes.
+
+    Do: check power, plug, ID, baud rate.
+    """
+    yield from _gone(case, False)
+    yield from _at_the_end(case)
+    for device in case.report.devices:
+        if device.state == words.EXPECTED and device.last_heard_s is None \
+                and not (device.window.asked or device.window.not_served):
+            yield Doubt(f'in {case.names.devices}, but the master never asks it', device.id)
+
+
+def _gone(case: Case, blocking: bool) -> Claims:
+    hurries = _hurries(case)
+    for number in case.gone:
+        after = [device.id for device in case.report.devices
+                  if device.waiting_behind == number and is_waiting(device)]
+        if hurries:
+            yield from [] if blocking else [Doubt('no answer in time, and others are late: raise '
+                                                  'the time-out, or check power and ID', number)]
+        elif bool(after) is blocking:
+            yield _claim_blocking(case, number, after) if after else _claim_gone(case, number)
+
+
+def _claim_gone(case: Case, number: int) -> Claim:
+    device = case.devices[number]
+    since = 'never heard' if device.last_heard_s is None \
+        else f'silent for {longer_than(device.last_heard_s)}' if number in case.gone \
+        else f'though it gave {device.totals.answers} before, and the program ended there'
+    others = ', others answer' if any(
+        case.lately(other, GONE_S).answers for other in case.report.devices) else ''
+    what = 'cable and ID' if device.last_heard_s is not None else 'cable, ID and baud rate' if any(
+        other.totals.answers for other in case.report.devices) else f'cable and ID{_OF_THE_MASTER}'
+    return Claim(f'no answer, {since}{others}: check its power, {what}',
+                 {'requests without an answer': device.missed_in_a_row,
+                  **_waiting(case, number)}, device=number)
+
+
+def _claim_blocking(case: Case, number: int, after: list[int]) -> Claim:
+    return Claim(f'silent, and the Sync Read ends there: {listed(after, 2)} after it are '
+                         'never read; check its power and cable, or leave it out',
+                 {'not served': in_full(after), **_waiting(case, number)}, device=number)
+
+
+def _waiting(case: Case, number: int) -> dict[str, str]:
+    """Return what each request without an answer costs the master."""
+    waits = [one.us for one in case.report.waits if one.device == number]
+    return {'wait per request (ms)': f'{median(waits) / 1000:.1f}'} if waits else {}
+
+
+def _at_the_end(case: Case) -> Claims:
+    """Look at the question on which a program ended by itself, with an error."""
+    yield from _unacknowledged(case)
+    if read_late(case):
+        return
+    yield from _left_open(case)
+    last, fatal = case.last_wait, ended_on(case)
+    if case.report.failed and fatal is None and last is not None and not last.is_spoilt:
+        yield Doubt('the last question got no answer; whether the program ended for '
+                    'that is unknown: it went on after earlier ones, or only searched',
+                    last.device)
+    lost = [] if fatal is None else [fatal.device]
+    absent = [device.id for device in case.report.devices
+              if device.last_heard_s is None and device.missed_in_a_row
+              and not device.window.spoilt and (
+                  fatal is None or fatal.instruction == Instruction.PING or _is_used(device))]
+    if case.report.failed == words.RAISED or {*lost} & {*absent}:
+        lost += absent                 # it asked all, then complained of those
+    yield from (_claim_gone(case, number) for number in dict.fromkeys(lost)
+                if number in case.devices and number not in case.gone
+                and not _is_late(case, case.devices[number]))
+
+
+def _is_late(case: Case, device: DeviceReport) -> bool:
+    """Tell whether a device answers too late so often that the last question is one more."""
+    least = max(INCIDENTS_MIN, LATE_MIN_SHARE * device.window.asked)
+    return case.count(ev.LATE, device) >= least or (
+        device.last_heard_s is not None and not device.totals.answers)
+
+
+def _left_open(case: Case) -> Claims:
+    """Look at what a program waited for when it was heard last."""
+    hung = [(one.device, one.detail.us / 1e6) for one in case.incidents(ev.HUNG)]
+    last = case.last_wait
+    if last is not None and not last.is_spoilt and last.instruction != Instruction.PING \
+            and case.report.is_over and case.now - last.stamp > HUNG_NS:
+        hung.append((last.device, (case.now - last.stamp) / NS_PER_S))
+    for number, seconds in hung:
+        yield Claim('did not answer the last question, and the program asked nothing more for '
+                    f'{seconds:.0f} s: check its power and cable, and let the program read '
+                    'with a time-out', device=number)
+    for one in case.incidents(ev.LEFT_OPEN):
+        yield Doubt(f'the program ended {one.detail.us / 1000:.0f} ms after it asked: '
+                    'whether this answers is unknown', device=one.device)
+
+
+def _is_used(device: DeviceReport) -> bool:
+    """Tell whether a program asked a device for more than Pings."""
+    totals = device.totals
+    return bool(totals.reads or totals.writes or totals.data_missed or device.acks_missing)
+
+
+def _unacknowledged(case: Case) -> Claims:
+    """Look for devices that were only written to, and never heard."""
+    failed, is_over = case.report.failed, case.report.is_over
+    if is_over and not failed and not case.report.is_answered \
+            and any(one.acks_missing for one in case.report.devices) \
+            and len(case.report.waits) < INCIDENTS_MIN:
+        yield Doubt('writes are sent, and not one byte comes back: no power, another baud '
+                    'rate, or Status Return Level below 2; let your program read once')
+    for device in case.report.devices if any(one.acks for one in case.report.devices) else ():
+        if device.last_heard_s is None and device.acks_missing \
+                and not (device.id in case.gone and device.totals.data_missed) \
+                and not device.window.spoilt and not device.moved_to:
+            says = (f'never heard, and did not acknowledge {device.acks_missing} writes, as '
+                    'others do: check its power, cable and ID, or its Status Return Level if it '
+                    'answers a Ping')
+            yield Claim(says, level=None if failed else Level.WARN, device=device.id) \
+                if failed or (is_over and device.acks_missing > ACKS_MISSED_LIMIT) \
+                else Doubt(says, device.id)
+
+
+# --- away and back -------------------------------------------------------------------------------
+
+@Rule(level=Level.ERROR, needs_incident=(ev.RETURNED,),
+      symptoms={'restart'},
+      accounts_for={'absence', 'missed answers', 'uneven rhythm', 'joint at rest'})
+def rebooted(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Away, back, and restarted: torque off, Realtime Tick back, or it ignores its goal.
+
+    Do: check supply and plug; set it up again.
+    """
+    if device.window.spoilt * 2 > device.window.missed:
+        return None
+    for one in _absences(case, device):
+        proof = _restart_proof(case, one)
+        if proof and _talks_since(case, one):
+            return Claim(f'restarted by itself, no answers for {one.detail.ms} ms '
+                         f'({proof}): check its supply and plug, then set it up again, torque too',
+                         {'away (ms)': one.detail.ms, 'seen by': proof})
+    return None
+
+
+@Rule(needs_incident=(ev.RETURNED,),
+      symptoms={'absence'},
+      accounts_for={'missed answers', 'uneven rhythm'})
+def dropout(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Silent for three questions or more, 0.1 s at least, and back; restart not proven.
+
+    Do: check its plugs.
+    """
+    totals = device.totals
+    if device.window.spoilt * 2 > device.window.missed \
+            or (totals.data_missed and totals.answers == totals.pongs):
+        return None                    # or it answers Pings only
+    absences = [one for one in _absences(case, device)
+                if one.detail.missed >= INCIDENTS_MIN and _talks_since(case, one)
+                and (case.now - one.stamp > RETURN_SETTLED_S * NS_PER_S or case.report.is_over)]
+    if not absences or sum(one.detail.missed for one in absences) * 2 < device.window.missed:
+        return None                    # else answers are lost by chance
+    away = max(one.detail.ms for one in absences)
+    return Claim(f'no answers for {away} ms: a loose plug or a restart; read Torque '
+                 'Enable or Realtime Tick to find out',
+                 {'absences': len(absences), 'longest (ms)': away})
+
+
+def _absences(case: Case, device: DeviceReport | None = None) -> list[Incident[ev.SilentFor]]:
+    """Return the returns after an absence that no Reboot or Factory Reset accounts for."""
+    if not case.count(ev.RETURNED):
+        return []
+    ordered = {one.device for one in case.incidents(ev.REBOOTED)}
+    return [one for one in case.incidents(ev.RETURNED, device)
+            if one.detail.ms >= AWAY_MIN_MS and one.device not in ordered]
+
+
+def _talks_since(case: Case, back: Incident[ev.SilentFor]) -> bool:
+    """Tell whether data came from it since; one that never gave any shall not be held up."""
+    ages = _data_ages(case.devices[back.device]) if back.device in case.devices else []
+    return not ages or min(ages) * NS_PER_S < case.now - back.stamp
+
+
+def _data_ages(device: DeviceReport) -> list[float]:
+    return [one.age_s for one in device.observed
+            if one.source == 'r' and one.field.name not in IDENTITY]
+
+
+def _restart_proof(case: Case, back: Incident[ev.SilentFor]) -> str:
+    """Return what says that a device started again while it was away, '' if nothing does."""
+    torque = case.values[back.device].get('Torque Enable') if back.device in case.values else None
+    if torque is not None and is_off(torque) and case.now - torque.age_s * NS_PER_S >= back.stamp \
+            and back.detail.torque > 0:
+        return 'Torque Enable fell to 0'
+    samples = case.samples.get(back.device, ())
+    before = [one for one in samples if one.stamp < back.stamp - back.detail.ms * NS_PER_MS]
+    after = [one for one in samples if one.stamp > back.stamp]
+    if before and after and _tick_jumped(before[-1], after[0]):
+        return 'Realtime Tick jumped back'
+    if _does_not_follow(after) and _span([one.position for one in before]) >= GOAL_MOVES_STEPS \
+            and not _does_not_follow(before) and not case.devices[back.device].alert:
+        return 'no longer follows its goal'
+    return ''
+
+
+def _tick_jumped(before: Sample, after: Sample) -> bool:
+    if before.tick is None or after.tick is None:
+        return False
+    expected = (before.tick + (after.stamp - before.stamp) / NS_PER_S) % TICK_TURN_S
+    off = abs(expected - after.tick)
+    return TICK_SLACK_S < off < TICK_TURN_S - TICK_SLACK_S and after.tick < expected
+
+
+# --- a joint and its goal ------------------------------------------------------------------------
+
+@Rule(each_device=True,
+      symptoms={'joint at rest'})
+def torque_off(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Goals change, and the joint does not move.
+
+    The goals are on both sides of it, or away from it and back twice, or nothing set the
+    torque.
+
+    Do: switch the torque on; if it is on, the joint is blocked or its motor has no supply.
+    """
+    samples = _since_it_moved(_recent_samples(case, device.id))
+    place = case.values[device.id].get('Present Position')
+    if place is None or place.source != 'r' or place.age_s > STOPPED_MIN_S \
+            or device.alert or not _does_not_follow(samples):
+        return None                    # or its error says why
+    torque, goal = map(case.values[device.id].get, ('Torque Enable', 'Goal Position'))
+    if torque is not None and not torque.value.raw and (
+            torque.age_s < FOLLOW_WINDOW_S if torque.source == 'r'
+            else goal is not None and goal.age_s < torque.age_s):
+        return Claim('goals are sent to it, but its torque is off: switch it on '
+                     '(Torque Enable 1); after a restart, write all its settings again',
+                     rests_on=_MOTION)
+    if (torque is None or torque.source == 'w') \
+            and is_watched(case, device, place) and _is_ignored(
+                [*case.samples[device.id]], 0.1 / (place.field.scale or 0.001)):
+        return Claim('goals leave its position on both sides or repeatedly, and it '
+                     'does not move: write 1 to Torque Enable, or check its motor and what '
+                     'blocks it', rests_on=_MOTION)
+    if torque is not None and torque.value.raw and not _absences(case, device):
+        return None                    # it is on, so something holds it, or it is where it can be
+    since = samples[1].stamp
+    others = [[one.position for one in _recent_samples(case, other) if one.stamp >= since]
+              for other in case.samples if other != device.id]
+    who = ', others do' if any(_span(places) >= GOAL_MOVES_STEPS for places in others) else ''
+    if not who and torque is None and case.report.has_sides and device.model.protocol == '2' \
+            and _span([one.goal for one in samples[1:]]) >= GOAL_FAR_STEPS:
+        who = ', nothing set its torque'
+    if samples[-1].stamp - samples[0].stamp < STILL_MIN_S * NS_PER_S or not who:
+        return None
+    return Claim(f'its goal changes but the joint does not move{who}: its '
+                 'torque is off or it is blocked; read Torque Enable, switch it on',
+                 rests_on=_MOTION)
+
+
+def _does_not_follow(samples: list[Sample]) -> bool:
+    """Tell whether the goal moves and the position does not."""
+    samples = samples[1:]
+    if len(samples) < 2 or samples[-1].stamp - samples[0].stamp < STOPPED_MIN_S * NS_PER_S:
+        return False
+    return _span([one.goal for one in samples]) >= GOAL_MOVES_STEPS \
+        and 0 <= _span([one.position for one in samples]) <= STILL_MAX_STEPS
+
+
+def _span(places: list[float | None]) -> float:
+    """Return how far apart places are; -1 where none is known."""
+    known = [place for place in places if place is not None]
+    return max(known) - min(known) if known else -1.0
+
+
+def _recent_samples(case: Case, number: int) -> list[Sample]:
+    since = case.now - FOLLOW_WINDOW_S * NS_PER_S
+    return [one for one in case.samples.get(number, ()) if one.stamp > since]
+
+
+def _since_it_moved(samples: list[Sample]) -> list[Sample]:
+    """Return the samples since a joint moved last, with that one."""
+    last = samples[-1].position if samples else None
+    moved = [at for at, one in enumerate(samples) if one.position is not None
+             and last is not None and abs(one.position - last) > STILL_MAX_STEPS]
+    return samples[moved[-1] if moved else 0:]
+
+
+def _is_ignored(samples: list[Sample], least: float) -> bool:
+    """
+    Tell whether no goal moves a joint, on both sides of it, or away from it and back again.
+
+    One that is blocked ignores one side, and what a gripper holds is not let go at each turn.
+    """
+    ways = [one.goal - one.position for one in samples[1:]
+            if one.goal is not None and one.position is not None]
+    ends = [abs(one) > least for one in ways if not least / 3 < abs(one) < 3 * least]
+    return _does_not_follow(samples) and (sum(map(ne, ends, ends[1:])) > 2 or min(
+        sum(one > least for one in ways), sum(one < -least for one in ways)) > 1)
+
+
+# --- partly there --------------------------------------------------------------------------------
+
+@Rule(each_device=True,
+      symptoms={'answers to Pings only'},
+      accounts_for={*SILENCE, 'absence', 'restart', 'no acknowledgements'})
+def ping_only(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Answers Ping and nothing else, since the program began or again and again.
+
+    Or the program ended on the first write or read to it.
+
+    Do: write 2 to Status Return Level, 1 for reads alone.
+    """
+    return Claim('answers Pings only: set its Status Return Level to 2, or 1 for '
+                 'reads; if it no longer answers a Ping, check its power and cable',
+                 {'missed': f'{device.window.missed} of {device.window.asked}'}) \
+        if _is_ping_only(case, device) else None
+
+
+def _is_ping_only(case: Case, device: DeviceReport) -> bool:
+    """Tell whether it answers Pings, and nothing but Pings, while data are asked for."""
+    last, totals = ended_on(case), device.totals
+    if last is not None and last.device == device.id and last.instruction != Instruction.PING \
+            and totals.answers == totals.pongs > 0:
+        return True
+    is_since = device.id in case.gone and totals.data_missed == totals.missed   # no Ping was
+    asked, least = (totals, 1) if is_since else (case.lately(device, GONE_S), 2)
+    return asked.answers == asked.pongs >= least and not asked.spoilt \
+        and asked.data_missed >= INCIDENTS_MIN
+
+
+@Rule(each_device=True,
+      symptoms={'missed answers'})
+def missed_answers(case: Case, device: DeviceReport) -> Found | None:
+    """
+    More than 1 % of its answers missing.
+
+    Do: check its plugs.
+    """
+    window = device.window
+    lost = window.missed - window.spoilt - sum(     # what came in the next one's time is there
+        case.count(kind, device) for kind in (ev.LATE, ev.SECOND_ANSWER))
+    if lost < INCIDENTS_MIN or lost <= MISSED_MIN_SHARE * window.asked:
+        return None
+    is_gone = device.id in case.gone or device.missed_in_a_row > INCIDENTS_MIN
+    if is_gone or is_rate_search(case.report) or case.count(ev.REBOOTED, device) \
+            or case.count(ev.MISSED, device) < INCIDENTS_MIN:
+        return None
+    return Claim(f'{about(lost, window.asked)} of its answers missing, with no bytes '
+                 'in their place: check its plugs; a device that did not get the instruction '
+                 'looks the same',
+                 {'loss': share(lost, window.asked),
+                  'missed': f'{lost} of {window.asked}'})
+
+
+RULES = (brown_out, all_silent, broken_cable, sync_read_stops, no_answer, rebooted, torque_off,
+    ping_only, dropout, missed_answers)

@@ -1,0 +1,530 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Noise and unknown bytes: damaged on the way, or not meant for this bus."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+
+from msg_defs.dxl1_instruction import FEETECH
+from msg_defs.dxl1_instruction import UNDECIDED
+from msg_defs.dxl1_packet import HEADER as FAMILY_HEADER
+from msg_defs.dxl_instruction import NAMES
+from msg_defs.dxl_packet import HEADER
+from msg_defs.reports import Level
+from msg_defs.uart import byte_ns
+from msg_defs.uart import heard_at
+from msg_defs.units import NS_PER_S
+from servobus.bus import evidence as ev
+from servobus.bus import report as words
+from servobus.bus.report import DeviceReport
+from servobus.doctor.case import Case
+from servobus.doctor.facts import is_collision
+from servobus.doctor.facts import laid_over_answers
+from servobus.doctor.facts import may_overlap
+from servobus.doctor.facts import ran_into_answers
+from servobus.doctor.rule import about
+from servobus.doctor.rule import Claim
+from servobus.doctor.rule import Claims
+from servobus.doctor.rule import Doubt
+from servobus.doctor.rule import Found
+from servobus.doctor.rule import in_full
+from servobus.doctor.rule import listed
+from servobus.doctor.rule import Rule
+from servobus.doctor.rule import share
+from servobus.doctor.symptom import DAMAGE
+from servobus.doctor.symptom import SILENCE
+from servobus.doctor.symptom import TRAFFIC
+from servobus.doctor.thresholds import INCIDENTS_MIN
+
+NOISE_MIN_PACKETS = 5              # damaged ones: fewer have no common cause
+NOISE_MIN_SHARE = 0.001            # share of all packets
+STRAY_MIN_PACKETS = 5              # after a stray byte
+STRAY_MIN_SHARE = 0.001            # share of all packets
+ONE_DEVICE_MIN_SHARE = 0.7         # share of the damage: it is that of one device
+BOTH_WAYS_MIN_SHARE = 0.2          # share of the damage, in instructions: both directions suffer
+DAMAGE_ONSET_S = 1.0               # by then it has shown whether something else does it
+TURNAROUND_MIN_SHARE = 0.01        # share of the answers, with a damaged first byte
+FIRST_BYTE_BY_CHANCE = 1 / 8       # share of damage that hits a first byte by chance
+SURPLUS_MIN_ANSWERS = 5            # with bytes after them
+SURPLUS_MIN_SHARE = 0.2            # share of its answers: a second device answers each time
+AGAIN_MIN_SHARE = 0.7              # share of the damage, where its answer comes once more
+SECOND_ANSWERS_FACTOR = 1.5        # times those that come at any other time
+ECHO_MIN_INSTRUCTIONS = 5
+ECHO_MIN_SHARE = 0.1               # share of the instructions: some run into answers
+ECHO_MAX_US = 100                  # from an instruction to its echo
+PACKETS_BY_CHANCE = 0.005          # at most this share of bytes is packets at a wrong rate
+WRONG_BAUD_MIN_BYTES = 300
+LOAD_IMPOSSIBLE_PERCENT = 120.0    # wire time; a source with a wrong clock reaches less
+BURST_NS = NS_PER_S                # a source may hand over so much wire time late
+AFTER_WRITE_S = 0.5                # an acknowledgement and a write to Lock may follow
+COMMON_RATES = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
+RATE_MIN_HEADERS = 3
+RATE_MIN_BYTES = 2                 # from a header as it looks: fewer say nothing
+# What is said of a bus without a packet where the bytes are too few for the rule.
+NO_PACKETS = ('bytes, but no packet: set {bauds} to the rate of the bus, and check that it is a '
+              'servo bus and that D+ and D- are not swapped')
+
+
+# --- the wrong rate, ID or protocol --------------------------------------------------------------
+
+@Rule(subject='bus', level=Level.ERROR,
+      symptoms={'no packets'},
+      accounts_for=TRAFFIC)
+def wrong_baud(case: Case) -> Claims:
+    """
+    Hardly a packet among the bytes, or more bytes than the rate allows.
+
+    Or no packet comes back to a program, and other bytes do.
+
+    Do: set `bauds`, or the rate of the program.
+    """
+    report = case.report
+    got, good, errors = (case.counted(name, 2.0) for name in ('bytes', 'packet_bytes', 'framing'))
+    if not report.baud:                # it is still to be learned
+        return
+    if (load := _load(case)) > LOAD_IMPOSSIBLE_PERCENT:
+        yield Claim(f'more bytes than {report.baud} Bd can carry: the bus is faster; set '
+                    f'{case.names.bauds} to its rate', {'load (%)': f'{load:.0f}'})
+        return
+    rate_of = case.names.bauds         # below: two servos that collide leave the header whole
+    if report.has_sides and len(report.devices) > 1 and FAMILY_HEADER not in report.noise \
+            and all(device.last_heard_s is None for device in report.devices):
+        got, good, rate_of = got - good, 0, 'the rate of the program'    # what that sends is whole
+    if not report.is_answered or got < max(WRONG_BAUD_MIN_BYTES, good / PACKETS_BY_CHANCE) \
+            or case.count(ev.PROTOCOL_1):
+        return
+    rate = likely_rate(report.noise, report.baud)
+    remedy = f'the bytes look like {rate} Bd: set {rate_of} to it' if rate else \
+        f'the right rate is unknown: set {rate_of} to the rate of the bus'
+    yield Claim(f'{got} bytes, but no packets at {report.baud} Bd: {remedy}',
+                {'bytes': got, 'framing errors': errors})
+
+
+def _load(case: Case) -> float:
+    """Return the share of wire time since the start (%), 0 where it may be a burst, or an echo."""
+    report = case.report
+    heard_ns = max(1, case.now - report.started)
+    needed_ns = report.counters['Bytes'] * byte_ns(report.baud)
+    if report.has_sides or needed_ns - heard_ns < BURST_NS:
+        return 0.0
+    return 100 * needed_ns / heard_ns
+
+
+def likely_rate(noise: bytes, baud: int) -> int | None:
+    """Return the Dynamixel rate at which headers look like these bytes; None if unsure."""
+    counts = {rate: noise.count(look) for rate, look in _looks(baud).items()}
+    best = max(counts, key=lambda rate: (counts[rate], len(_looks(baud)[rate])))
+    rivals = [rate for rate in counts if counts[rate] == counts[best]
+              and len(_looks(baud)[rate]) == len(_looks(baud)[best])]
+    return best if counts[best] >= RATE_MIN_HEADERS and len(rivals) == 1 else None
+
+
+@lru_cache(maxsize=16)
+def _looks(baud: int) -> dict[int, bytes]:
+    """Return what the first bytes of a packet look like, for each rate the bus may have."""
+    looks = {rate: _look(baud / rate) for rate in COMMON_RATES if rate != baud}
+    return {rate: look for rate, look in looks.items() if len(look) >= RATE_MIN_BYTES} \
+        or {baud: HEADER}
+
+
+def _look(ratio: float) -> bytes:
+    """Return the bytes that are the same for every ID after the header."""
+    looks = [heard_at(HEADER + bytes([number, 4, 0]), ratio) for number in (1, 0x55, 0xFE)]
+    same = 0
+    while all(same < len(look) and look[same] == looks[0][same] for look in looks):
+        same += 1
+    return looks[0][:same]
+
+
+@Rule(subject='bus',
+      symptoms={'lost bytes'},
+      accounts_for={*DAMAGE, 'damaged first bytes', 'second answers', 'unasked answers'})
+def overrun(case: Case) -> Claims:
+    """
+    The monitor's serial driver lost bytes.
+
+    Do: raise the monitor's priority, use a better adapter.
+    """
+    lost = case.counted('overruns')
+    if lost > 0:
+        yield Claim(f'this computer lost bytes {lost} times, so packets seem missing or '
+                    'damaged: give the monitor a higher priority or a better adapter',
+                    {'overruns': lost})
+
+
+@Rule(holds=False, each_device=True,
+      symptoms={'changed rate'},
+      accounts_for={*SILENCE, 'slow cycle', 'joint at rest'})
+def baud_moved(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Silent since the master changed its Baud Rate.
+
+    Do: change it back, or change all the others.
+    """
+    code = _written(case, device, 'Baud Rate')
+    to = device.moved_to or (f'code {code}' if code >= 0 else '')
+    if not to or to.startswith(words.NEW_ID) or not (code >= 0 or device.state == words.MOVED):
+        return None
+    return Claim(f'its baud rate was set to {to}, but the bus is at '
+                 f'{case.report.baud} Bd: undo that at the new rate, or set the '
+                 'others and the master to it')
+
+
+@Rule(holds=False, each_device=True,
+      symptoms={'proof'},
+      accounts_for={*SILENCE, 'silent bus', 'slow cycle'})
+def id_moved(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Asked by its old ID since the master changed it.
+
+    Do: use the new ID in the program.
+    """
+    number = _written(case, device, 'ID')
+    to = device.moved_to if device.state == words.MOVED else f'{words.NEW_ID}{number:03}'
+    if not to.startswith(words.NEW_ID) or (to != device.moved_to and number in (-1, device.id)):
+        return None
+    return Claim(f'set to {to} by a write, and still asked as '
+                 f'{device.id:03}: use the new ID in the program')
+
+
+def _written(case: Case, device: DeviceReport, name: str) -> int:
+    """Return what was written, where no model was known then and it says nothing since; or -1."""
+    one = case.values[device.id].get(name)
+    is_gone = device.id in case.gone or (
+        case.report.failed and device.missed_in_a_row >= INCIDENTS_MIN)
+    if one is None or one.source != 'w' or not is_gone or device.model.number is not None \
+            or (device.last_heard_s or 0.0) < one.age_s - AFTER_WRITE_S:
+        return -1
+    return int(one.value.raw)
+
+
+@Rule(subject='bus',
+      symptoms={'two protocols'},
+      accounts_for={'stray bytes', 'no packets'})
+def protocol_1(case: Case) -> Claims:
+    """
+    Devices of Protocol 2.0 and of the 1.0 family on one bus.
+
+    Do: set all to one protocol, or use two buses.
+    """
+    if case.count(ev.PROTOCOL_1) <= 1:
+        return
+    answered = [device for device in case.report.devices if device.window.answers]
+    of_2 = [device.id for device in answered if device.protocol == words.PROTOCOL_2]
+    others = [device for device in answered if device.protocol != words.PROTOCOL_2]
+    if not of_2 and case.report.protocol not in ('', words.PROTOCOL_2):
+        return                         # all that answer speak the 1.0 family: it is their bus
+    name = others[0].protocol if others else UNDECIDED.name
+    if len(of_2) < len(others):
+        who, host, ids, to = words.PROTOCOL_2, name, of_2, '1.0'
+    else:
+        who, host, to = name, words.PROTOCOL_2, '2.0'
+        ids = [device.id for device in others] \
+            or sorted({one.device for one in case.incidents(ev.PROTOCOL_1)})
+    remedy = 'give these devices a bus of their own'
+    if name != FEETECH.name:           # which has no setting for it
+        remedy = f'set these devices to Protocol {to} if they have it, or give them another bus'
+    yield Claim(f'{who}, ID {listed(ids, 4)}, on a bus of {host}: {remedy}',
+                {'packets': case.count(ev.PROTOCOL_1)})
+
+
+@Rule(subject='bus',
+      symptoms={'echo'},
+      accounts_for={*TRAFFIC, 'two protocols', 'refused access', 'refused address',
+                    'refused value', 'error bits', 'voltage limit', 'joint at rest',
+                    'unsent instructions'})
+def echo(case: Case) -> Claims:
+    """
+    Instructions come back to their master, or are heard twice.
+
+    Do: switch the adapter's echo off.
+    """
+    if case.report.has_sides:          # what it says twice it says itself
+        least = ECHO_MIN_INSTRUCTIONS
+        heard_back, asked = case.counted('echoes'), case.counted('instructions')
+        if case.report.failed:         # it may have ended on the first
+            least, heard_back, asked = 1, case.report.kinds.get(ev.ECHO, 0), \
+                case.report.counters['Instructions']
+        if heard_back >= least and heard_back > ECHO_MIN_SHARE * asked:
+            yield Claim('the master receives what it sends: its adapter echoes; switch the '
+                        'echo off, or let the program skip it', {'echoes': heard_back})
+        return
+    again = [one for one in case.incidents(ev.REPEATED) if one.detail.us < ECHO_MAX_US]
+    answered = sum(cycle.asked > 0 for cycle in case.report.cycles)
+    if answered and len(again) >= ECHO_MIN_INSTRUCTIONS \
+            and 2 * len(again) > case.count(ev.REPEATED):
+        yield Claim('every instruction is heard twice: the adapter echoes what its master '
+                    'sends; switch the echo off. Losses counted here are not real',
+                    {'echoes': len(again)})
+
+
+# --- several senders -----------------------------------------------------------------------------
+
+@Rule(level=Level.ERROR, each_device=True,
+      symptoms={'second answers'},
+      accounts_for={*DAMAGE, 'damaged first bytes', 'late answers', 'restart'})
+def duplicate_id(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Second answers to one question, bytes after its answers alone, or damage only with this ID.
+
+    Do: unplug one of the two, change its ID.
+    """
+    twice = case.count(ev.SECOND_ANSWER, device)
+    if not twice and _alone_answers_again(case, device):
+        twice = case.count(ev.ANSWERED_AGAIN, device)
+    window = device.window
+    models = window.model_changes >= 2 and window.spoilt >= INCIDENTS_MIN
+    at_end = case.report.failed == words.RAISED and twice == case.count(ev.SECOND_ANSWER)
+    others = case.count(ev.UNASKED, device) + case.count(ev.LATE, device)
+    if _says_too_much(case, device):
+        return Claim('more bytes come than its answers have, not so from others: two '
+                     'devices have this ID; unplug one and change the ID of the other',
+                     {'answers': window.surplus})
+    is_enough = twice >= (1 if at_end else INCIDENTS_MIN)
+    if not models and not (is_enough and twice >= SECOND_ANSWERS_FACTOR * others):
+        return None
+    also = ', by two models' if window.model_changes >= 2 else ''
+    return Claim(f'answered twice{also}: two devices have this ID; unplug one and '
+                 'change the ID of the other',
+                 {**case.looks_like(device),
+                  'second answers': twice,
+                  'damaged': window.spoilt,
+                  'model changes': window.model_changes})
+
+
+def _says_too_much(case: Case, device: DeviceReport) -> bool:
+    """Tell whether bytes follow the answers of this device alone: a cable only changes them."""
+    surplus, asked = device.window.surplus, device.window.asked
+    others = [one.window for one in case.report.devices
+              if one is not device and one.window.answers >= surplus]
+    return surplus >= max(SURPLUS_MIN_ANSWERS, SURPLUS_MIN_SHARE * asked) and bool(others) and all(
+        10 * one.surplus <= surplus for one in others) and not case.count(ev.LATE)
+
+
+def _alone_answers_again(case: Case, device: DeviceReport) -> bool:
+    """
+    Tell whether damage is where this device has answered, and then it answers once more.
+
+    A question that damage hid looks the same, once; it would be as often one to another device,
+    and the damage would hit the answers of others too. What a device of Protocol 1.0 says is
+    damage as long as it is not proven to be that.
+    """
+    if case.count(ev.PROTOCOL_1, device):
+        return False
+    again = case.count(ev.ANSWERED_AGAIN, device)
+    others = [one for one in case.report.devices
+              if one is not device and one.window.answers >= again]
+    return len(others) > 1 and again == case.count(ev.ANSWERED_AGAIN) \
+        and again >= AGAIN_MIN_SHARE * case.damage and not any(one.window.spoilt for one in others)
+
+
+@Rule(needs_incident=(ev.UNASKED,),
+      symptoms={'unasked answers'},
+      accounts_for={'second answers', 'missed answers', 'damaged packets', 'damaged answers',
+                    'stray bytes', 'damaged first bytes'})
+def foreign_answers(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Answers that this master did not ask for.
+
+    Do: look for another master on a segment that is not monitored.
+    """
+    unasked = case.count(ev.UNASKED, device)
+    if unasked < INCIDENTS_MIN or case.count(ev.PROTOCOL_1, device) \
+            or case.count(ev.SECOND_ANSWER, device) >= SECOND_ANSWERS_FACTOR * unasked:
+        return None
+    return Claim(f'{unasked} answers that this master did not ask for: another master, '
+                 'on a segment that is not monitored; find and stop it',
+                 {'answers': unasked})
+
+
+# --- damage --------------------------------------------------------------------------------------
+
+@Rule(subject='device or bus',
+      symptoms={'damaged first bytes'},
+      accounts_for={'damaged first bytes', 'stray bytes', 'damaged answers', 'missed answers',
+                    'absence'})
+def turnaround(case: Case) -> Claims:
+    """
+    Wrong first byte, right CRC.
+
+    Do: raise Return Delay Time by 2 to 4 us.
+    """
+    touched = [device for device in case.report.devices if _first_bytes(device)]
+    hit = [device for device in touched if _first_bytes(device) > INCIDENTS_MIN
+           and _first_bytes(device) > TURNAROUND_MIN_SHARE * device.window.answers
+           and _first_bytes(device) > FIRST_BYTE_BY_CHANCE * device.window.spoilt]
+    total = sum(_first_bytes(one) for one in touched)
+    beheaded = sum(device.window.beheaded for device in touched)
+    if (total - beheaded <= FIRST_BYTE_BY_CHANCE * case.damage and beheaded <= case.damage) \
+            or laid_over_answers(case):
+        return
+    if hit and len(touched) > 2 and max(map(_first_bytes, touched)) < ONE_DEVICE_MIN_SHARE * total:
+        hit = touched
+        first = sum(_first_bytes(device) for device in hit)
+        stray = case.counted('glitches')
+        answers = sum(_spoken(device) for device in hit)
+        yield Claim(f'first byte of {share(first, answers)} of the answers damaged, '
+                    f'{len(hit)} devices: the line switches too late; raise Return Delay '
+                    'Time or correct the driver enable',
+                    {'answers': first,
+                     'packets with a stray byte': stray,
+                     'devices': in_full([one.id for one in hit])})
+        return
+    for device in hit:
+        first = _first_bytes(device)
+        yield Claim(f'first byte of {share(first, _spoken(device))} of its answers '
+                    'damaged: it answers before the line switches; raise its Return Delay Time by '
+                    'a step or two', {'answers': first}, device=device.id)
+
+
+def _first_bytes(device: DeviceReport) -> int:
+    """Return how many answers were whole but for their first byte."""
+    return device.window.repaired + device.window.beheaded
+
+
+def _spoken(device: DeviceReport) -> int:
+    """Return how many answers came: those of 1.0 without their first byte were missed."""
+    return device.window.answers + device.window.beheaded
+
+
+@Rule(subject='bus',
+      symptoms={'damaged packets'},
+      accounts_for={'damaged answers', 'missed answers', 'absence', 'stray bytes',
+                    'uneven rhythm'})
+def noise(case: Case) -> Claims:
+    """
+    Damaged packets of several devices.
+
+    Do: check termination, ground, shield, motor cables.
+    """
+    yield from _noise_claims(case)
+    yield from source_lost(case)
+    if 0 < case.damage < NOISE_MIN_PACKETS:
+        yield Doubt(f'{case.damage} damaged packets in 10 s are too few to find a cause')
+
+
+def source_lost(case: Case) -> Iterator[Doubt]:
+    """Say how much the source could not hand over."""
+    lost = sum(one.detail.number for one in case.incidents(ev.SOURCE_LOST))
+    if lost:
+        yield Doubt(f'{lost} USB events or bytes were lost: lost data looks like silence; '
+                    'take other devices off this USB bus')
+
+
+def _noise_claims(case: Case) -> Claims:
+    packets = case.packets
+    if case.damage < NOISE_MIN_PACKETS or case.damage < NOISE_MIN_SHARE * packets \
+            or case.damage_s < DAMAGE_ONSET_S:
+        return
+    hit = [device.id for device in case.report.devices if device.window.spoilt]
+    asked = _asked_damaged(case)
+    if asked < BOTH_WAYS_MIN_SHARE * case.damage and _most_hit(case) is not None:
+        return
+    both_ways = asked >= BOTH_WAYS_MIN_SHARE * case.damage
+    if is_collision(case) if both_ways else may_overlap(case):
+        yield Doubt('packets overlap: two programs, two devices with one ID, or a master '
+                    'that does not wait for answers')
+        return
+    way = 'in both directions' if both_ways else 'in answers'
+    share_of = about(case.damage, packets + case.damage)
+    yield Claim(f'{share_of} of the packets damaged, {way}, of '
+                'several devices: check termination, ground, shielding and motor cables',
+                {**case.looks_like(),
+                 'share': share(case.damage, packets + case.damage),
+                 'damaged instructions': asked,
+                 'devices': in_full(hit)})
+
+
+def _asked_damaged(case: Case) -> int:
+    """Return how many instructions were damaged; an unknown code was a status."""
+    return sum(one.detail.instruction in NAMES for one in case.incidents(ev.DAMAGED_INSTRUCTION))
+
+
+def _most_hit(case: Case) -> DeviceReport | None:
+    """Return the device that has most of all spoilt answers, if there is one."""
+    worst = max(case.report.devices, key=lambda device: device.window.spoilt, default=None)
+    if worst is None or worst.window.spoilt < INCIDENTS_MIN \
+            or worst.window.spoilt < ONE_DEVICE_MIN_SHARE * case.spoilt:
+        return None
+    return worst
+
+
+@Rule(onset_s=DAMAGE_ONSET_S,
+      symptoms={'damaged answers'},
+      accounts_for={'missed answers', 'absence', 'stray bytes', 'uneven rhythm'})
+def damaged_answers(case: Case) -> Claims:
+    """
+    Only its answers are damaged, or bytes that are no packet come in their place.
+
+    Do: unplug it and ping its ID: what still answers is a duplicate; else check its cable.
+    """
+    worst = _most_hit(case)
+    last = case.last_wait
+    for device in case.report.devices if case.report.failed and worst is None else ():
+        if not device.missed_in_a_row or not device.window.spoilt or (
+                case.report.failed != words.RAISED and (last is None or device.id != last.device)):
+            continue
+        yield Claim('its last answer was damaged, so the program ended: a bad cable, '
+                    'or a second device with its ID: it answers a Ping while this one is '
+                    'unplugged',
+                    is_certain=True, device=device.id)
+    if worst is None or _asked_damaged(case) >= \
+            BOTH_WAYS_MIN_SHARE * max(case.damage, case.spoilt):
+        return
+    if case.count(ev.TOO_LONG, worst) >= INCIDENTS_MIN and ran_into_answers(case):
+        yield Doubt('the master sends during its answers', worst.id)
+        return
+    window = worst.window
+    others = ', others whole' if any(
+        device.window.answers for device in case.report.devices if device is not worst) else ''
+    yield Claim(f'{about(window.spoilt, window.asked)} of its answers damaged{others}: '
+                'a bad cable or a second device with its ID; unplug it and ping its ID',
+                {**case.looks_like(worst),
+                 'share': share(window.spoilt, window.asked),
+                 'damaged': f'{window.spoilt} of {window.asked}'}, device=worst.id)
+
+
+@Rule(subject='bus',
+      symptoms={'unsent instructions'},
+      accounts_for={'silent bus', 'no acknowledgements', 'joint at rest'})
+def not_sent(case: Case) -> Claims:
+    """
+    The adapter did not send what was written.
+
+    Do: switch flow control off; do not flush output after a write.
+    """
+    count = case.count(ev.NOT_SENT)
+    if count >= (1 if case.report.failed else INCIDENTS_MIN):
+        asked = sorted({one.device for one in case.incidents(ev.NOT_SENT)})
+        yield Claim(f'{count} instructions never left the adapter: in the program, switch '
+                    'flow control off and do not flush output after a write; else plug the '
+                    'adapter in again',
+                    {'instructions': count, 'to': in_full(asked)})
+
+
+@Rule(subject='bus', level=Level.OK,
+      symptoms={'stray bytes'})
+def stray_bytes(case: Case) -> Claims:
+    """
+    Harmless bytes before packets; WARN where a program ended on one.
+
+    Do: add bias resistors.
+    """
+    stray = case.counted('glitches')
+    packets = case.packets
+    if stray >= STRAY_MIN_PACKETS and stray > STRAY_MIN_SHARE * packets:
+        yield Claim(f'one or two stray bytes before {share(stray, packets)} of the packets: '
+                    'driver enable switches late or the line floats; add bias resistors',
+                    {'packets': stray})
+    last, spoilt = case.last_wait, sum(one.is_spoilt for one in case.report.waits)
+    if case.report.failed == words.RAISED and last is not None and last.is_spoilt and not last.us \
+            and spoilt <= case.report.kinds.get(ev.GLITCH, 0):     # it left the end of no other
+        yield Claim('a stray byte before the answer on which the program ended: driver '
+                    'enable switches late or the line floats; add bias resistors',
+                    {}, Level.WARN)
+
+
+RULES = (wrong_baud, overrun, baud_moved, id_moved, protocol_1, echo, duplicate_id,
+    foreign_answers, turnaround, noise, damaged_answers, not_sent, stray_bytes)

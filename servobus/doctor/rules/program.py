@@ -1,0 +1,567 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the program does wrong, or asks of devices that they cannot do."""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import pairwise
+
+from msg_defs.dxl1_instruction import DYNAMIXEL_1
+from msg_defs.dxl1_instruction import FEETECH
+from msg_defs.dxl1_instruction import UNDECIDED
+from msg_defs.dxl1_packet import HEADER
+from msg_defs.dxl_instruction import error_text
+from msg_defs.dxl_instruction import Instruction
+from msg_defs.dxl_instruction import name_of
+from msg_defs.dxl_packet import BROADCAST
+from msg_defs.reports import Level
+from msg_defs.units import NS_PER_S
+from servobus.bus import evidence as ev
+from servobus.bus.report import BusReport
+from servobus.bus.report import CONNECTED
+from servobus.bus.report import Cycle
+from servobus.bus.report import DeviceReport
+from servobus.doctor.case import Case
+from servobus.doctor.case import Names
+from servobus.doctor.facts import ACCESS_ERROR
+from servobus.doctor.facts import ended_on
+from servobus.doctor.facts import INSTRUCTION_ERROR
+from servobus.doctor.facts import LENGTH_ERROR
+from servobus.doctor.facts import LIMIT_ERROR
+from servobus.doctor.facts import RANGE_ERROR
+from servobus.doctor.facts import SINGLE_WRITES
+from servobus.doctor.rule import ANSWER
+from servobus.doctor.rule import Claim
+from servobus.doctor.rule import Claims
+from servobus.doctor.rule import Doubt
+from servobus.doctor.rule import Found
+from servobus.doctor.rule import listed
+from servobus.doctor.rule import Rule
+from servobus.doctor.symptom import DAMAGE
+from servobus.doctor.symptom import SILENCE
+from servobus.doctor.thresholds import INCIDENTS_MIN
+from servobus.doctor.thresholds import STILL_MAX_STEPS
+from servobus.doctor.thresholds import TURN_STEPS
+from servobus.model.control_table import UNKNOWN
+
+POSITION_CONTROL = 3               # a value of Operating Mode (e-Manual)
+GOALS_BEYOND_MIN = 2               # one may be a slip of a person
+EEPROM_WRITES_MIN = 30             # in 10 s: no start-up writes as many
+POLLED_MIN_READS = 20              # from a device that was never written
+POLLED_MIN_S = 3.0                 # by then each is written that will be, and models are known
+ACKS_MISSING_MIN = 3               # as the decoder learns that writes are not acknowledged
+ACKS_ONSET_S = 1.0                 # acknowledgements that get lost come again by then
+ANSWERS_OTHERWISE_S = 2.0          # an answer to something else, so lately: it is there
+STOPPED_MIN_S = 1.2
+STOPPED_WARN_S = 10.0              # a shorter pause may be meant
+WORKED_MIN_S = 2.5                 # a program that ran so long has stopped; a command is done
+NO_IDS = (0xFD, 0xFF)
+_NO_ID = ', which no device can have (0 to 252): correct the ID in its program'
+_NO_NAMES = 'so registers have no names and some causes cannot be found'
+SENT_MIN_BYTES = 30                # three packets
+SCAN_MIN_PINGS = 15                # broadcast Pings in 10 s: each needs 0.8 s
+SCAN_MIN_SHARE = 0.7               # share of the instructions
+FAST_READS = (Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ)
+HAVE_SYNC_READ = ('STS', 'SMS', 'HLS')
+# Model numbers, and the firmware from which they know fast reads: MX(2.0) never.
+_FAST_SINCE = (((30, 311, 321), 256), (range(1190, 1250), 46), (range(1000, 1400), 45),
+               (range(2000, 2130), 12))
+# Addresses of other series that programs use by mistake (e-Manual, PRO), with their registers.
+_PRO = {562: 'Torque Enable', 596: 'Goal Position', 600: 'Goal Velocity', 604: 'Goal Torque',
+        611: 'Present Position', 615: 'Present Velocity'}
+
+
+# --- what it sends and reads ---------------------------------------------------------------------
+
+@Rule(subject='bus',
+      symptoms={'unread bytes'},
+      accounts_for={*SILENCE, *DAMAGE, 'hasty instructions', 'late answers',
+                    'absence of several', 'damaged first bytes', 'silent bus', 'unasked answers',
+                    'no acknowledgements', 'wrong length', 'restart', 'slow cycle'})
+def unread_answers(case: Case) -> Claims:
+    """
+    Bytes of earlier answers wait each time it asks, and answers are missed or damaged.
+
+    Only Python with pyserial is known so well.
+
+    Do: read whole answers, and clear the input before each question.
+    """
+    if not case.count(ev.STALE):
+        return
+    words = 'each time the program asks, bytes of earlier answers still wait to be read'
+    lost = sum(device.window.missed for device in case.report.devices)
+    if case.damage + lost >= INCIDENTS_MIN:
+        yield Claim(f'{words}: it reads too few, or takes old answers for new ones; let it read '
+                    'whole answers, and clear its input before it asks',
+                    {'missed or damaged': case.damage + lost}, covers=tuple(case.devices))
+    else:
+        yield Doubt(f'{words}: if it takes those for the new ones, let it clear its input before '
+                    'it asks')
+
+
+@Rule(subject='bus', level=Level.ERROR,
+      symptoms={'proof'},
+      accounts_for={*SILENCE, *DAMAGE, 'no packets', 'silent bus', 'slow cycle'})
+def wrong_packets(case: Case) -> Claims:
+    """
+    Packets of the program with a wrong checksum, CRC or Length, or nothing that is a packet.
+
+    Needs a source that knows who sent what.
+
+    Do: correct the program.
+    """
+    report, wrong = case.report, case.incidents(ev.WRONG_PACKET)
+    sent = report.counters['Bytes']
+    if len(wrong) >= INCIDENTS_MIN:
+        most = Counter((one.detail.instruction, one.device) for one in wrong)
+        [((code, number), _)] = most.most_common(1)
+        yield Claim(f'the master asks ID {number}{_NO_ID}' if number == NO_IDS[1] else
+                    f'{len(wrong)} packets of the program have a wrong checksum, CRC or Length, '
+                    f'as {name_of(code)} to {number:03}: no servo takes them; correct the program',
+                    {'packets': len(wrong)})
+    elif report.has_sides and not report.is_answered and sent >= SENT_MIN_BYTES \
+            and report.counters['Packet Bytes'] == 0:
+        what = 'correct their checksum, CRC or Length' if HEADER in report.noise else \
+            'packets begin with FF FF; send them as bytes, not as text'
+        yield Claim(f'none of the {sent} bytes that the program sent is part of a packet that a '
+                    f'servo takes: {what}', {'bytes': sent})
+
+
+@Rule(subject='bus',
+      symptoms={'proof'})
+def impossible_id(case: Case) -> Claims:
+    """
+    Asks ID 255, or 253 in Protocol 2.0; reads from 254.
+
+    Do: correct the ID; use Sync Read.
+    """
+    for cycle in case.report.cycles:
+        number = next(iter(cycle.ids), None)
+        reads_all = number == BROADCAST and cycle.instruction == Instruction.READ
+        if not reads_all and (number not in NO_IDS or number in case.devices):
+            continue
+        asked = case.times_asked(cycle)
+        if asked >= INCIDENTS_MIN:
+            yield Claim(f'the master reads from ID {number}, all devices at once, which '
+                        'none answers: use Sync Read' if reads_all else
+                        f'the master asks ID {number}{_NO_ID}', {'asked in 10 s': asked})
+            return
+
+
+@Rule(subject='bus',
+      symptoms={'proof'})
+def unstuffed(case: Case) -> Claims:
+    """
+    `FF FF FD` in the data without the extra `FD`.
+
+    Do: use another library.
+    """
+    notes = case.incidents(ev.UNSTUFFED)
+    if notes:
+        last = notes[-1]
+        yield Claim('the master sends FF FF FD without byte stuffing '
+                    f'({name_of(last.detail.instruction)} to {last.device:03}), like the '
+                    'Python SDK: a device may miss the packet; correct its '
+                    'library', {'packets': len(notes)})
+
+
+# --- what devices refuse -------------------------------------------------------------------------
+
+@Rule(needs_incident=(ev.REFUSED,),
+      symptoms={'proof'},
+      accounts_for={'refused access'})
+def eeprom_locked(case: Case, device: DeviceReport) -> Found | None:
+    """
+    A write to EEPROM refused.
+
+    Do: write Torque Enable 0 first.
+    """
+    torque = case.values[device.id].get('Torque Enable')
+    # Where it is on, that explains one.
+    least = _enough(case, device, INCIDENTS_MIN) if torque is None else 1
+    for (instruction, address, error), count in _refused(case, device).items():
+        if count >= least and instruction in SINGLE_WRITES and _is_locked(device, address, error) \
+                and (torque is None or torque.value.raw):
+            name = device.model.by_address[address].name
+            times = f'{count} times' if count > 1 else 'once'
+            return Claim(f'write to {name} ({address}) refused {times}: EEPROM '
+                         'cannot be written while the torque is on; switch it off first',
+                         {'refused': count})
+    return None
+
+
+def _is_locked(device: DeviceReport, address: int, error: int) -> bool:
+    field = device.model.by_address.get(address)
+    return error == ACCESS_ERROR and field is not None and field.memory == 'eeprom' \
+        and 'w' in field.access
+
+
+@Rule(needs_incident=(ev.REFUSED,), needs_model=True,
+      symptoms={'refused address'})
+def wrong_address(case: Case, device: DeviceReport) -> Found | None:
+    """
+    One address refused three times.
+
+    Do: use the control table of this model.
+    """
+    found = Counter(one.detail[1:] for one in case.incidents(ev.REFUSED, device)
+                    if one.detail.error in (ACCESS_ERROR, LENGTH_ERROR, RANGE_ERROR)
+                    and not _is_locked(device, *one.detail[1:]))
+    for (address, error), count in found.most_common(1):
+        if count >= _enough(case, device, INCIDENTS_MIN):
+            return Claim(f'address {address} refused {count} times '
+                         f'({error_text(error)}): {_what_is_there(device, address, error)}',
+                         {'refused': count})
+    return None
+
+
+def _what_is_there(device: DeviceReport, address: int, error: int) -> str:
+    field = device.model.by_address.get(address)
+    if address in _PRO and (field is None or field.name != _PRO[address]):
+        return f'{_PRO[address]} of the PRO series; use the control table of {device.model_name}'
+    if field is None:
+        return f'{device.model_name} has no register there; check the control table in use'
+    if error == RANGE_ERROR:
+        return f'the value is out of the range of {field.name}; limit it'
+    return f'{field.name} ({field.access}, {field.size} bytes) does not allow this access'
+
+
+@Rule(each_device=True,
+      symptoms={'refused value'},
+      accounts_for={'refused access', 'joint at rest'})
+def goal_limits(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Values beyond its limits (Data Limit, in 1.0 angle limit).
+
+    Once is enough where the program ended on it. Also goals that Position Control Mode
+    refuses, or that a Feetech servo holds back.
+
+    Do: limit the goals, or set wider limits.
+    """
+    found = Counter(one.detail.address for one in case.incidents(ev.REFUSED, device)
+                    if one.detail.error == LIMIT_ERROR and one.detail.instruction in SINGLE_WRITES)
+    for address, count in found.most_common(1):
+        field = device.model.by_address.get(address)
+        if count >= _enough(case, device, GOALS_BEYOND_MIN):
+            name = field.name if field else f'address {address}'
+            return Claim(f'value for {name} refused, beyond its limits: keep goals '
+                         'within these, or set wider ones (as Max Position Limit)',
+                         {'refused': count})
+    return _goals_beyond(case, device)
+
+
+def _goals_beyond(case: Case, device: DeviceReport) -> Found | None:
+    """Look for goals that Position Control Mode refuses; nothing answers a Sync Write."""
+    goal, mode = map(case.values[device.id].get, ('Goal Position', 'Operating Mode'))
+    if goal is None or goal.source != 'w':
+        return None
+    if device.model.protocol == FEETECH.protocol and (mode is None or not mode.value.raw):
+        return _goals_held_back(case, device)
+    if device.model.protocol != '2' \
+            or round(TURN_STEPS * (goal.field.scale or 0), 2) != 6.28 \
+            or (mode is not None and mode.value.raw != POSITION_CONTROL):
+        return None
+    samples = case.samples.get(device.id, ())
+    beyond = [one for one in samples if one.goal is not None and not 0 <= one.goal < TURN_STEPS]
+    places = [one.position for one in beyond if one.position is not None]
+    still = sum(0 <= two < TURN_STEPS and abs(one - two) <= STILL_MAX_STEPS
+                for one, two in pairwise(places))
+    if len(beyond) < GOALS_BEYOND_MIN or (mode is None and (   # in another mode it would go there
+            still < GOALS_BEYOND_MIN or {*places}.issuperset(one.position for one in samples))):
+        return None
+    return Claim(f'goals beyond 0 to {TURN_STEPS - 1} are sent, which Position Control Mode '
+                 'refuses: keep them within, or set Extended Position Control Mode',
+                 {'the last': beyond[-1].goal}, rests_on=('Goal Position', 'Operating Mode'))
+
+
+def _goals_held_back(case: Case, device: DeviceReport) -> Found | None:
+    """Look for goals beyond the limits of a Feetech servo, which it answers as any other."""
+    limits = 'Min Position Limit', 'Max Position Limit'
+    low, high = (one.value.raw if one is not None else 0 for one in map(
+        case.values[device.id].get, limits))
+    beyond = {one.goal for one in case.samples.get(device.id, ())
+              if one.goal is not None and not low <= one.goal <= high}
+    if not low < high or len(beyond) < GOALS_BEYOND_MIN:
+        return None                            # without limits both are 0
+    return Claim(f'goals beyond its limits of {low} to {high} are sent: it stops '
+                 'there; keep goals within them, or set wider ones (Min and Max Position Limit)',
+                 {'the farthest': max(beyond, key=lambda goal: abs(2 * goal - low - high))},
+                 rests_on=('Goal Position', *limits))
+
+
+@Rule(needs_incident=(ev.REFUSED,),
+      symptoms={'refused access'})
+def refused(case: Case, device: DeviceReport) -> Found | None:
+    """
+    One address refused three times, and its model is not known.
+
+    Do: set its model in `devices`.
+    """
+    if device.model.number is not None:
+        return None
+    for (instruction, address, error), count in _refused(case, device).most_common(1):
+        if count >= INCIDENTS_MIN and address >= 0:
+            return Claim(f'refuses {name_of(instruction)} at {address} '
+                         f'({error_text(error)}): set its model in {case.names.devices} to learn '
+                         'which register that is', {'refused': count})
+    return None
+
+
+def _refused(case: Case, device: DeviceReport) -> Counter[ev.Refusal]:
+    """Return what it refused in the window."""
+    return Counter(one.detail for one in case.incidents(ev.REFUSED, device))
+
+
+def _enough(case: Case, device: DeviceReport, few: int) -> int:
+    """Return how many refusals say something: one on which a program ended does."""
+    found = case.incidents(ev.REFUSED, device)
+    return 1 if case.report.failed and found and found[-1].stamp >= case.report.asked else few
+
+
+# --- how it goes on ------------------------------------------------------------------------------
+
+@Rule(subject='bus', holds=False,
+      symptoms={'proof'})
+def master_stopped(case: Case) -> Claims:
+    """
+    No more instructions after 2.5 s of them or more.
+
+    An advice below 10 s; device states date from then.
+
+    Do: check the program and its cable.
+    """
+    report = case.report
+    if case.quiet_s < STOPPED_MIN_S or (report.last_byte_s or 0.0) < STOPPED_MIN_S \
+            or report.stamp - report.deaf < STOPPED_MIN_S * NS_PER_S:
+        return                                 # a closed port hears no master
+    since = (report.asked - case.run_from) / NS_PER_S
+    if since < WORKED_MIN_S:
+        return                                 # a command, and it is done
+    yield Claim(f'the master stopped after it had asked for {since:.1f} s: check its '
+                'program; device states date from then',
+                {'stopped after (s)': f'{since:.1f}'},
+                Level.OK if case.quiet_s < STOPPED_WARN_S else None)
+
+
+@Rule(subject='bus', level=Level.OK, holds=False,
+      symptoms={'proof'},
+      accounts_for={'damaged packets', 'damaged answers', 'stray bytes', 'damaged first bytes',
+                    'uneven rhythm'})
+def scan(case: Case) -> Claims:
+    """
+    Many IDs pinged; WARN if broadcast Pings collide.
+
+    Do: wait 0.8 s after a broadcast Ping.
+    """
+    pings = sum(map(case.times_asked, [
+        cycle for cycle in case.report.cycles
+        if cycle.instruction == Instruction.PING and cycle.ids == (BROADCAST,)]))
+    collide = case.damage >= INCIDENTS_MIN
+    if pings >= SCAN_MIN_PINGS or (collide and pings >= INCIDENTS_MIN
+                                   and pings > SCAN_MIN_SHARE * case.counted('instructions')):
+        yield Claim('the master sends broadcast Pings without a '
+                    f"pause{', and the answers collide' if collide else ''}: let it wait "
+                    '0.8 s after each, the time that all IDs need',
+                    {'broadcast Pings in 10 s': pings},
+                    Level.WARN if collide else Level.OK)
+    elif case.report.scanned:
+        yield Claim(f'a scan: {len(case.report.scanned)} IDs were pinged and do not answer, '
+                    f'{len(case.report.devices)} devices are known',
+                    {'without an answer': listed(case.report.scanned)}, stands_alone=True)
+
+
+@Rule(subject='bus', level=Level.OK,
+      symptoms={'proof'})
+def models(case: Case) -> Claims:
+    """
+    Devices of unknown models, as `cannot tell.models`.
+
+    Do: set `devices`, or send Ping.
+    """
+    found: dict[str, list[int]] = {}
+    for device in case.report.devices:
+        if device.model.number is None and device.last_heard_s is not None:
+            found.setdefault(_registers(device, _NO_NAMES), []).append(device.id)
+    if found and case.heard_s >= POLLED_MIN_S:
+        known = '; '.join(f'{listed(ids, 3)}: model not known, {registers}'
+                          for registers, ids in found.items())
+        yield Doubt(f'{known}; add ID:MODEL to {case.names.devices}, or let your program '
+                    'ping the servos')
+
+
+def _registers(device: DeviceReport, none: str) -> str:
+    return none if device.model is UNKNOWN \
+        else f'registers as in {device.model.name}, by what the program uses'
+
+
+def with_models_named(report: BusReport, names: Names) -> BusReport:
+    """Return a report whose messages say which models are not known, where all else is well."""
+    return report._replace(
+        message=f'{report.message}; not all models known: set {names.devices}',
+        devices=tuple(one._replace(message=f'{one.message}; {_remedy(one, names)}')
+                      if one.model.number is None and one.state == CONNECTED
+                      and one.level is Level.OK else one for one in report.devices))
+
+
+def _remedy(device: DeviceReport, names: Names) -> str:
+    if device.model_number is not None:
+        return f'no model file, so its registers have no names: add one to {names.folders}'
+    registers = _registers(device, 'so its registers have no names')
+    return (f"model unknown, {registers}: add '{device.id}:MODEL' to {names.devices}, or let the "
+            'master read Model Number')
+
+
+@Rule(each_device=True,
+      symptoms={'proof'},
+      accounts_for={'joint at rest'})
+def eeprom_wear(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Thirty EEPROM writes in ten seconds.
+
+    Do: write only what changes.
+    """
+    count = device.window.eeprom_writes
+    if count < EEPROM_WRITES_MIN:
+        return None
+    hours = 100_000 / (count / 10) / 3600
+    return Claim(f'EEPROM written {count} times in 10 s: it lasts about 100 000 '
+                 f'writes, {hours:.1f} hours at this rate; write only what changes',
+                 {'writes in 10 s': count})
+
+
+@Rule(level=Level.OK, onset_s=ACKS_ONSET_S, holds=False, each_device=True,
+      symptoms={'no acknowledgements'},
+      accounts_for={'missed answers', 'silent device'})
+def no_acks(case: Case, device: DeviceReport) -> Found | None:
+    """
+    No answers to writes: Status Return Level 1; WARN where the program ended on that.
+
+    Do: nothing, if the master knows; else level 2.
+    """
+    last = ended_on(case)
+    has_ended = last is not None and last.device == device.id and device.acks is None \
+        and last.instruction in SINGLE_WRITES and device.totals.answers > device.totals.pongs
+    if not has_ended and (not case.lately(device, ANSWERS_OTHERWISE_S).answers
+                          or device.missed_in_a_row > ACKS_MISSING_MIN):
+        return None                            # it answers nothing at present
+    are_missing = device.acks_missing >= ACKS_MISSING_MIN
+    unanswered = case.count(ev.ACKS_STOPPED, device) or are_missing
+    if device.acks and not are_missing:
+        return None                            # it does again: some were lost
+    if not (has_ended or unanswered or device.status_return_level in (0, 1)):
+        return None
+    level = device.status_return_level
+    return Claim('does not acknowledge writes (Status Return Level '
+                 f"{level or 'below 2'}): a master that waits for it loses a time-out each time; "
+                 f"use Sync Write or level 2{'; if it has that, check its plugs' * has_ended}",
+                 level=Level.WARN if has_ended else None, is_certain=has_ended,
+                 rests_on=() if has_ended or unanswered else (ANSWER,))
+
+
+@Rule(level=Level.OK, each_device=True,
+      symptoms={'no writes'})
+def never_written(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Only read, while others are written.
+
+    Do: check whether the program forgot it.
+    """
+    if device.totals.writes or device.totals.reads < POLLED_MIN_READS \
+            or 'Goal Position' not in device.model.by_name \
+            or case.heard_s < POLLED_MIN_S or not device.window.answers:
+        return None
+    written = [one.id for one in case.report.devices if one.window.writes]
+    if not written:
+        return Doubt('read but never written, like all others: this master may only '
+                     'monitor')
+    return Claim(f'read {device.totals.reads} times but never written, others are '
+                 f'({listed(written, 2)}): check whether the program forgot it',
+                 {'reads': device.totals.reads})
+
+
+# --- reads of several devices at once ------------------------------------------------------------
+
+@Rule(symptoms={'unanswered group reads'},
+      accounts_for={*SILENCE, 'silent bus', 'damaged packets', 'damaged answers',
+                    'refused address', 'absence'})
+def fast_read_unsupported(case: Case) -> Claims:
+    """
+    No part in fast reads.
+
+    Do: update its firmware, or use Sync Read.
+    """
+    known = set()
+    for cycle in case.report.cycles:
+        if cycle.instruction not in FAST_READS or not cycle.stamps or cycle.asked < INCIDENTS_MIN \
+                or case.now - cycle.stamps[-1] > 2 * NS_PER_S:
+            continue
+        first = next((number for number in cycle.ids if number in case.devices
+                      and not case.devices[number].totals.fast_answers), None)
+        found = None if first is None or first in known else \
+            _fast_read(case, case.devices[first], cycle)
+        if found is not None and first is not None:
+            known.add(first)
+            yield found
+
+
+def _fast_read(case: Case, device: DeviceReport, cycle: Cycle) -> Found | None:
+    refused = sum(one.detail.instruction in FAST_READS and one.detail.error == INSTRUCTION_ERROR
+                  for one in case.incidents(ev.REFUSED, device))
+    is_able = device.firmware is not None and not _lacks_fast_reads(device) \
+        and case.lately(device, ANSWERS_OTHERWISE_S).answers < INCIDENTS_MIN
+    if refused < INCIDENTS_MIN and (is_able or not device.totals.answers):
+        return None                            # perhaps it is not there
+    firmware = '' if device.firmware is None else f', firmware {device.firmware}'
+    after = cycle.ids[cycle.ids.index(device.id):]
+    return Claim('answers, but never a fast read '
+                 f'({device.model_name}{firmware}), so devices after it are never read: update it '
+                 'or use plain Sync Read',
+                 {'fast reads': cycle.asked}, covers=tuple(after), device=device.id)
+
+
+def _lacks_fast_reads(device: DeviceReport) -> bool:
+    """Tell whether its firmware is older than fast reads (e-Manual, Fast Sync Read)."""
+    if device.firmware is None or device.model_number is None:
+        return False
+    since = next((firmware for numbers, firmware in _FAST_SINCE if device.model_number in numbers),
+                 0)
+    return device.firmware < since
+
+
+@Rule(subject='bus',
+      symptoms={'unanswered group reads'},
+      accounts_for={'uneven rhythm', 'missed answers', 'device not served'})
+def sync_read_unsupported(case: Case) -> Claims:
+    """
+    Nothing answers Sync Reads, other instructions are answered (1.0, Feetech SCS).
+
+    Do: read one after the other.
+    """
+    is_feetech = case.report.protocol == FEETECH.name
+    if case.count(ev.UNASKED) or not (
+            is_feetech or case.report.protocol in (DYNAMIXEL_1.name, UNDECIDED.name)):
+        return
+    if sum(device.totals.answers for device in case.report.devices) < INCIDENTS_MIN:
+        return
+    for cycle in case.report.cycles:
+        if cycle.instruction == Instruction.SYNC_READ \
+                and case.times_asked(cycle, ANSWERS_OTHERWISE_S) >= INCIDENTS_MIN and (
+                    not is_feetech or _answer_all_else(case, cycle)):
+            yield Claim('the master sends Sync Reads, which Dynamixel has in Protocol 2.0 '
+                        'only, and Feetech SCS not at all: none is answered, other instructions '
+                        'are; read one after the other',
+                        {'Sync Reads': cycle.asked})
+
+
+def _answer_all_else(case: Case, cycle: Cycle) -> bool:
+    """Tell whether Feetech servos may lack Sync Read: each answers, and never this one."""
+    members = [case.devices[number] for number in cycle.ids if number in case.devices]
+    return cycle.missed >= cycle.asked - 1 and bool(members) and all(
+        case.lately(one, ANSWERS_OTHERWISE_S).answers >= INCIDENTS_MIN
+        and not one.model_name.startswith(HAVE_SYNC_READ) for one in members)
+
+
+RULES = (unread_answers, wrong_packets, eeprom_locked, wrong_address, goal_limits, refused,
+    impossible_id, master_stopped, scan, models, eeprom_wear, fast_read_unsupported,
+    sync_read_unsupported, unstuffed, no_acks, never_written)

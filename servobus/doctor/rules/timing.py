@@ -1,0 +1,538 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Time: who is too early, too late, too slow, out of step.
+
+What is finer than the adapter resolves is not judged: latencies come with their share resolved,
+periods are judged in parts of themselves (rhythm.py).
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import Counter
+from collections.abc import Iterator
+from itertools import pairwise
+from operator import attrgetter
+from statistics import median
+
+from msg_defs.dxl_instruction import Instruction
+from msg_defs.dxl_instruction import name_of
+from msg_defs.reports import Level
+from msg_defs.uart import byte_ns
+from msg_defs.units import NS_PER_MS
+from msg_defs.units import NS_PER_S
+from servobus.bus import evidence as ev
+from servobus.bus.report import Cycle
+from servobus.bus.report import DeviceReport
+from servobus.bus.report import Incident
+from servobus.bus.report import ROBBER
+from servobus.doctor.case import Case
+from servobus.doctor.case import key_of
+from servobus.doctor.facts import is_collision
+from servobus.doctor.facts import laid_over_answers
+from servobus.doctor.facts import ran_into_answers
+from servobus.doctor.facts import read_late
+from servobus.doctor.rhythm import answer_ns
+from servobus.doctor.rhythm import is_independent
+from servobus.doctor.rhythm import is_locked
+from servobus.doctor.rhythm import is_multiple
+from servobus.doctor.rhythm import REPEAT_WITHIN_NS
+from servobus.doctor.rhythm import Rhythm
+from servobus.doctor.rhythm import WRITES
+from servobus.doctor.rule import Claim
+from servobus.doctor.rule import Claims
+from servobus.doctor.rule import Doubt
+from servobus.doctor.rule import Found
+from servobus.doctor.rule import in_full
+from servobus.doctor.rule import listed
+from servobus.doctor.rule import Rule
+from servobus.doctor.symptom import DAMAGE
+from servobus.doctor.symptom import SILENCE
+from servobus.doctor.thresholds import INCIDENTS_MIN
+from servobus.doctor.thresholds import WINDOW_S
+
+SAME_LATENESS_NS = 3 * NS_PER_MS    # late answers closer than this belong to one
+LOAD_BUSY_PERCENT = 75.0           # wire time: the rest leaves no room for a retry
+LOAD_WINDOW_S = 3.0
+BLUR_FACTOR = 3                    # times the resolution: what is narrower is not a finding
+RETURN_DELAY_MS = (0.4, 0.7)       # a Return Delay Time of 500 us, as measured
+RETURN_DELAY_SPREAD_MS = 0.15      # a delay that is set varies less than one of an adapter
+RETURN_DELAY_MIN_ANSWERS = 5
+JITTER_MIN_SPREAD = 0.5            # relative to the cycle
+JITTER_ONSET_S = 3.0               # a computer that is busy for a moment is not a finding
+LATENCY_TIMER_MS = (15.0, 18.5)    # a latency timer of 16 ms, and what its host adds
+LATENCY_TIMER_MAX_PER_S = 70       # answers; with 16 ms each there cannot be more
+LATENCY_TIMER_MIN_GAPS = 10
+LATENCY_TIMER_MIN_SHARE = 0.6      # share of the gaps
+RESOLVED_MS = 4.0                  # between chunks; else all gaps count, not those after answers
+ADAPTER_GRID_NS = 16 * NS_PER_MS   # exactly that is made by the adapter that we hear through
+HZ_60_NS = NS_PER_S // 60
+HZ_60_MIN_SHARE = 0.7              # share of those gaps
+WAITS_WINDOW_S = 3.0               # a master that waits in vain now
+NO_WAIT_US = 50                    # less than any answer takes on the wire
+FACTORY_DELAY_US = 500             # Return Delay Time as from the factory (e-Manual)
+HASTY_MIN_WAITS = 10               # fewer are those of damage
+HASTY_MIN_SHARE = 0.7              # share of the vain waits
+THROWN_AWAY_MIN = 10               # answers: a program may clear its input at its start
+ACKS_HIT_MIN_SHARE = 0.7           # share of the spoilt answers, which come right after a write
+AFTER_WRITE_MAX_SHARE = 0.1        # share of the questions: noise would hit as few of them
+AFTER_WRITE_NS = 2 * NS_PER_MS     # as far as chunks tell time
+LATE_MIN_SHARE = 0.02              # share of the answers; a busy computer delays less
+CYCLE_MIN_SHARE = 0.5              # share of the cycle: most of it
+SINGLE_READS_MIN = 3               # that one Sync Read replaces
+SLOW_ANSWER_MS = 0.4               # reply latency: Return Delay Time from the factory is 0.5 ms
+
+
+# --- several masters -----------------------------------------------------------------------------
+
+@Rule(subject='bus', level=Level.ERROR, onset_s=1.0,
+      symptoms={'two rhythms'},
+      accounts_for={*DAMAGE, 'hasty instructions', 'late answers', 'second answers',
+                    'unasked answers', 'damaged first bytes', 'absence of several'})
+def two_masters(case: Case) -> Claims:
+    """
+    Two independent rhythms of instructions.
+
+    Or answers are lost while another program, or a second one that was started, has the port
+    open, or one reads after the other has asked.
+
+    Do: find the second program; give threads one lock.
+    """
+    foreign = case.count(ev.FOREIGN)
+    if foreign >= INCIDENTS_MIN:
+        yield Claim(f'the master received {foreign} instructions that it did not send: '
+                    'another program uses this bus; stop '
+                    'one', {'instructions': foreign})
+        return
+    lost = sum(one.window.missed for one in case.report.devices if one.id not in case.gone)
+    harm = lost + case.damage + case.count(ev.LATE) + INCIDENTS_MIN * case.count(ev.UNASKED)
+    if ROBBER in case.report.users or (case.report.users and harm >= INCIDENTS_MIN):
+        yield Claim(f'{", ".join(case.report.users)} uses this port too, and answers get '
+                    'lost or damaged: let only one use it',
+                    {'missed answers': lost, 'damaged packets': case.damage}, is_certain=True)
+        return
+    if case.report.has_sides and harm < INCIDENTS_MIN:
+        return                                 # one program with two timers, or with a lock
+    pair = _apart(case)
+    if pair is None:
+        for clocks in case.clocks:
+            fast, slow = sorted(timer.period / NS_PER_MS for timer in clocks.timers)
+            words = f'{_words(clocks.cycle, fast * NS_PER_MS)} and every {slow:.0f} ms'
+            if is_collision(case):
+                yield _two(case, words)
+            else:
+                yield Doubt(f'{words}: two programs, or one with two timers')
+            return
+    else:
+        one, other = pair
+        yield _two(case, f'{_words(one.cycle, one.base)} and {_words(other.cycle, other.base)}')
+
+
+def _apart(case: Case) -> tuple[Rhythm, Rhythm] | None:
+    """Return two instructions that keep time apart from each other."""
+    ordered = sorted(case.rhythms, key=attrgetter('base'))
+    least = max(BLUR_FACTOR * case.blur_ms, 1.0) * NS_PER_MS
+    if not ordered or (not laid_over_answers(case) and (
+            ordered[0].base <= least or not ordered[0].is_steady)):
+        return None
+    one, *others = [one for one in ordered if one.is_steady] or ordered[:1]
+    if one.base <= least or not one.is_steady:
+        return None
+    collide = is_collision(case)               # as one program's questions never do
+    for other in others:
+        differs = collide and not is_locked(other, one)
+        if (differs and one is ordered[0]) or (
+                (differs or not is_multiple(other, one))
+                and is_independent(one, other) and is_independent(other, one)):
+            return one, other
+    return None
+
+
+def _two(case: Case, words: str) -> Claim:
+    return Claim(f'{words}: two programs, or two threads without a lock; let only one ask',
+                 {'damaged packets': case.damage})
+
+
+def _words(cycle: Cycle, period: float) -> str:
+    whom = f'{cycle.ids[0]:03}' if len(cycle.ids) == 1 else f'{len(cycle.ids)} IDs'
+    at = f' at {cycle.address}' if cycle.address is not None else ''
+    return f'{name_of(cycle.instruction)} of {whom}{at} every {period / NS_PER_MS:.0f} ms'
+
+
+# --- a master that does not wait, and answers that are late --------------------------------------
+
+@Rule(subject='bus',
+      symptoms={'hasty instructions'},
+      accounts_for={*SILENCE, *DAMAGE, 'late answers', 'second answers', 'silent bus',
+                    'no acknowledgements'})
+def impatient_master(case: Case) -> Claims:
+    """
+    The master does not wait for the whole answer, or throws answers away unread.
+
+    Do: raise its time-out; let it read them.
+    """
+    spoilt = [wait.stamp for wait in case.report.waits if wait.is_spoilt]      # asked once more
+    again = Counter(code for stamp, code in case.repeats.items()
+                    if not any(0 <= stamp - one < SAME_LATENESS_NS for one in spoilt))
+    again.update(one.detail.instruction for one in _hidden_repeats(case))
+    again.update(one.detail.instruction for one in _repeats_into_answers(case))
+    # After a stray byte it asks once more.
+    if again.total() >= INCIDENTS_MIN + case.counted('glitches'):
+        worst = again.most_common(1)[0][0]
+        words = f'the master repeats {name_of(worst)} at once, {again.total()} times in 10 s'
+        yield Doubt(f'{words}, though it got whole answers: its parser may reject them') \
+            if case.report.has_sides and not case.waits(WINDOW_S) else \
+            Claim(f'{words}: its time-out is shorter than the answers take; raise it',
+                  {'repeated': again.total()})
+        return
+    if _gives_up_at_once(case) and case.damage >= INCIDENTS_MIN \
+            and any(case.lately(device, WAITS_WINDOW_S).answers for device in case.report.devices):
+        yield Claim('the master does not wait for answers and sends during them: it gives '
+                    f'up within {FACTORY_DELAY_US} us, before a servo with factory settings '
+                    'answers; raise its time-out', {'given up at once': _gives_up_at_once(case)})
+        return
+    thrown = sum(one.detail.instruction not in WRITES for one in case.incidents(ev.THROWN_AWAY))
+    if thrown >= THROWN_AWAY_MIN:
+        yield Claim(f'the program asks, and throws the answers away unread, {thrown} times '
+                    'in 10 s: let it wait for each answer and read it, or not ask',
+                    {'answers thrown away': thrown})
+        return
+    times = _questions_into_acks(case)
+    if times:
+        yield Claim('the master does not wait for the acknowledgement of a write: its next '
+                    f'instruction ran into it {times} times in 10 s; let it wait, or use '
+                    'Sync Write',
+                    {'instructions into an acknowledgement': times})
+
+
+def _gives_up_at_once(case: Case) -> int:
+    """Return how many of the last waits ended before any answer could come, 0 if not most."""
+    waits = case.waits(WAITS_WINDOW_S)
+    hasty = [one.us for one in waits if not one.is_spoilt]
+    if len(hasty) < HASTY_MIN_WAITS or (
+            case.report.has_sides and len(hasty) < HASTY_MIN_SHARE * len(waits)):
+        return 0
+    return len(hasty) if median(hasty) < FACTORY_DELAY_US else 0
+
+
+def _questions_into_acks(case: Case) -> int:
+    """
+    Return how many answers were spoilt right after a write that nothing acknowledged, else 0.
+
+    Noise would spoil the answers to other questions too; where many questions follow a
+    write, the cause is unknown.
+    """
+    spoilt = [wait.stamp - 1000 * wait.us for wait in case.waits(WINDOW_S) if wait.is_spoilt]
+    if len(spoilt) < INCIDENTS_MIN:
+        return 0
+    writes = sorted(stamp for cycle in case.report.cycles for stamp in cycle.stamps
+                    if cycle.instruction == Instruction.WRITE and not _acknowledges(case, cycle))
+    asked = [stamp for cycle in case.report.cycles if cycle.instruction not in WRITES
+             for stamp in cycle.stamps]
+    times = sum(_is_after(writes, stamp) for stamp in spoilt)
+    usual = sum(_is_after(writes, stamp) for stamp in asked)
+    return times if times >= max(INCIDENTS_MIN, ACKS_HIT_MIN_SHARE * len(spoilt)) \
+        and usual <= AFTER_WRITE_MAX_SHARE * len(asked) else 0
+
+
+def _acknowledges(case: Case, cycle: Cycle) -> bool:
+    return any(number not in case.devices or case.devices[number].acks is not None
+               for number in cycle.ids)
+
+
+def _is_after(writes: list[int], stamp: int) -> bool:
+    """Tell whether a write came so shortly before that its answer was still due."""
+    at = bisect_right(writes, stamp + AFTER_WRITE_NS)
+    return at > 0 and writes[at - 1] >= stamp - AFTER_WRITE_NS
+
+
+def _repeats_into_answers(case: Case) -> list[Incident[ev.Again]]:
+    """
+    Return the questions asked again while their answers were due, where they ran into them.
+
+    A master that repeats what came back damaged does not.
+    """
+    if not case.count(ev.TOO_LONG) or not ran_into_answers(case):
+        return []
+    longest: dict[int, float] = {}
+    for cycle in case.report.cycles:
+        within = 1.2 * answer_ns(cycle, case.report.baud) + REPEAT_WITHIN_NS
+        longest[cycle.instruction] = max(within, longest.get(cycle.instruction, 0.0))
+    return [one for one in case.incidents(ev.REPEATED)
+            if 1000 * one.detail.us < longest.get(one.detail.instruction, 0.0)]
+
+
+def _hidden_repeats(case: Case) -> list[Incident[ev.Code]]:
+    """
+    Return the first of each group of answers that came again after damage in an answer.
+
+    Behind a damaged instruction they would be its own answers.
+    """
+    again = case.incidents(ev.ANSWERED_AGAIN)
+    first = again[:1] + [one for before, one in pairwise(again)
+                         if one.stamp - before.stamp > SAME_LATENESS_NS]
+    if len({one.device for one in again}) < 2 \
+            or len(first) < 2 * case.count(ev.DAMAGED_INSTRUCTION):
+        return []
+    return first
+
+
+@Rule(symptoms={'late answers'},
+      accounts_for={*DAMAGE, 'unasked answers', 'damaged first bytes', 'slow cycle'})
+def late_answers(case: Case) -> Claims:
+    """
+    The answer comes after the master gave up.
+
+    Do: lower Return Delay Time, or raise the time-out.
+    """
+    late, fatal = case.incidents(ev.LATE), read_late(case)
+    first: Counter[int] = Counter()
+    before = 0
+    for one in late:
+        if one.stamp - before > SAME_LATENESS_NS:
+            first[one.device] += 1
+        before = one.stamp
+    for number, count in [(fatal.device, 1)] if fatal else first.most_common(1):
+        device = case.devices.get(number)
+        if not fatal and (count < INCIDENTS_MIN or (device is not None and (
+                device.window.not_served >= count
+                or count < LATE_MIN_SHARE * device.window.asked))):
+            return
+        if _is_cut_short(case):
+            yield Doubt('the next instruction comes during its answers: two programs, one '
+                        'that does not wait, or two devices with this ID', device=number)
+        else:
+            known = [one.us for one in case.report.waits]
+            also = sorted(one for one, times in first.items()
+                          if times >= INCIDENTS_MIN and one != number)
+            yield Claim('answers after the master gave up, during the next instruction'
+                        f'{f", as {listed(also, 2)} do" if also else ""}: raise the time-out, or '
+                        'lower its Return Delay Time',
+                        {'late answers': count, 'waits': f'{median(known) / 1000:.1f} ms'
+                            if known else 'unknown', **({'also': in_full(also)} if also else {})},
+                        covers=tuple(case.devices), device=number)
+
+
+def _is_cut_short(case: Case) -> bool:
+    """Tell whether questions came as no wait for an answer ends, so that none was given up."""
+    waits = [one.us for one in case.waits(WINDOW_S) if not one.is_spoilt]
+    return bool(waits) and median(waits) < (
+        FACTORY_DELAY_US if case.report.has_sides else NO_WAIT_US)
+
+
+@Rule(needs_incident=(ev.WRONG_SIZE,),
+      symptoms={'wrong length'})
+def wrong_length(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Answers of the wrong length.
+
+    Do: update its firmware; look for a second device with this ID.
+    """
+    wrong = case.incidents(ev.WRONG_SIZE, device)
+    if len(wrong) < INCIDENTS_MIN or 4 * case.count(ev.LATE, device) > len(wrong):
+        return None
+    size, asked = wrong[-1].detail.got, wrong[-1].detail.wanted
+    return Claim(f'answers {size} bytes to a read of {asked}: its firmware is at '
+                 'fault, or a second device has its ID; update it, then unplug it and ping its ID',
+                 {'answers': len(wrong)})
+
+
+# --- slow adapters, devices and lines ------------------------------------------------------------
+
+@Rule(subject='bus',
+      symptoms={'slow answers'},
+      accounts_for={'uneven rhythm', 'slow cycle'})
+def latency_timer(case: Case) -> Claims:
+    """
+    Instructions come 16 ms after the last answer.
+
+    Do: set the latency timer of the master's adapter to 1 ms.
+    """
+    answers = [answer_ns(cycle, case.report.baud) for cycle in case.report.cycles]
+    answered = sum(len(cycle.stamps) - bisect_right(cycle.stamps, case.now - NS_PER_S)
+                   for cycle, answer in zip(case.report.cycles, answers, strict=True) if answer)
+    if answered > LATENCY_TIMER_MAX_PER_S + 1:     # before all is sorted: it is a fast bus
+        return
+    if case.report.cycle is not None and case.report.cycle.asleep > case.report.cycle.device:
+        return                                 # when the answers came is unknown
+    # In one chunk a write comes first: a question would have had to wait for its answer.
+    stamps = sorted((stamp, answers[number], number)
+                    for number, cycle in enumerate(case.report.cycles)
+                    for stamp in cycle.stamps if stamp > case.now - NS_PER_S)
+    is_coarse = case.blur_ms > RESOLVED_MS
+    gaps = [((number, following), two - one, answer)
+            for (one, answer, number), (two, _, following) in pairwise(stamps)
+            if answer or is_coarse]
+    if len(gaps) > LATENCY_TIMER_MAX_PER_S:
+        return
+    latent = [(kinds, gap) for kinds, gap, answer in gaps if any(
+        LATENCY_TIMER_MS[0] <= rest / NS_PER_MS <= LATENCY_TIMER_MS[1]
+        for rest in (gap, gap - answer))]
+    if is_coarse and all(
+            abs(gap - ADAPTER_GRID_NS) < ADAPTER_GRID_NS // 1000 for _, gap in latent):
+        return
+    if case.report.has_sides and not any(
+            known is not None and known.p50 > LATENCY_TIMER_MS[0] / 2
+            for one in case.report.devices for known in [one.latency.window]):
+        return                                 # the answers were there long before
+    if latent and sum(abs(gap - HZ_60_NS) < HZ_60_NS // 100 for _, gap in latent) \
+            >= HZ_60_MIN_SHARE * len(latent):
+        yield Doubt('instructions come every 16.7 ms: a loop at 60 Hz, or a latency timer '
+                    'of 16 ms in the adapter of the master')
+        return
+    slow = [kinds for kinds, _ in latent]
+    if len(slow) < LATENCY_TIMER_MIN_GAPS or len(slow) < LATENCY_TIMER_MIN_SHARE * len(gaps):
+        return
+    if any(number != following for number, following in slow):
+        yield Claim('most instructions come 16 ms after the previous answer: the latency '
+                    "timer of the master's adapter; set it to 1 ms",
+                    {'16 ms later': f'{len(slow)} of {len(gaps)}'})
+
+
+@Rule(subject='bus',
+      symptoms={'busy line'},
+      accounts_for={'uneven rhythm', 'two rhythms', 'hasty instructions', 'slow cycle'})
+def bus_too_slow(case: Case) -> Claims:
+    """
+    Busy for 75 % of the time, and damage or answers missed now and then.
+
+    Do: raise the baud rate, read less.
+    """
+    seconds = (case.now - case.mark(LOAD_WINDOW_S).stamp) / NS_PER_S
+    got = case.counted('bytes', LOAD_WINDOW_S)
+    if seconds < 1.0:
+        return
+    load = 100 * got * byte_ns(case.report.baud) / NS_PER_S / seconds
+    if load > LOAD_BUSY_PERCENT:
+        steady = next(iter(case.rhythms), None)
+        per_cycle = '' if steady is None else \
+            f', {got / seconds * steady.period / NS_PER_S:.0f} bytes per cycle'
+        harm = case.damage or any(device.window.missed and not device.missed_in_a_row
+                                  for device in case.report.devices)      # one is not just dead
+        yield Claim(f'the line is busy for more than {LOAD_BUSY_PERCENT:.0f} % of the '
+                    f'time{per_cycle}: no room for a retry; raise the baud rate, or read less',
+                    {'load (%)': f'{load:.0f}', 'bytes per second': f'{got / seconds:.0f}'},
+                    Level.WARN if harm else Level.OK)
+
+
+@Rule(level=Level.OK,
+      symptoms={'slow answers'},
+      accounts_for={'slow cycle'})
+def return_delay(case: Case) -> Claims:
+    """
+    Return Delay Time is 0.4 ms or more.
+
+    Do: write 0.
+    """
+    for device in case.report.devices:
+        register = case.values[device.id].get('Return Delay Time')
+        delay_ms = register.value.number * 1000 if register and register.value.number is not None \
+            else None
+        measured = _measured_ms(device)
+        low, high = RETURN_DELAY_MS
+        if (delay_ms or 0.0) >= low or (
+                delay_ms is None and measured is not None and low <= measured <= high):
+            yield _delay_claim(case, device, delay_ms, measured)
+
+
+def _measured_ms(device: DeviceReport) -> float | None:
+    summary = device.latency.window or device.latency.total
+    if summary is None or summary.count < RETURN_DELAY_MIN_ANSWERS \
+            or summary.p95 - summary.p50 > RETURN_DELAY_SPREAD_MS:
+        return None
+    return summary.p50
+
+
+def _delay_claim(case: Case, device: DeviceReport, delay_ms: float | None,
+                 measured: float | None) -> Claim:
+    known = delay_ms if delay_ms is not None else measured or 0.0
+    how = 'Return Delay Time' if delay_ms is not None else 'reply latency'
+    rate = device.totals.reads / case.heard_s if case.heard_s > 0 else 0.0
+    return Claim(f'waits {known:.1f} ms before each answer ({how}): write 0 to Return '
+                 f'Delay Time, which saves {known * rate:.0f} ms of bus time per second',
+                 {'delay (ms)': f'{known:.2f}', 'read': 'yes' if delay_ms else 'measured'},
+                 device=device.id)
+
+
+# --- the cycle of the master ---------------------------------------------------------------------
+
+@Rule(subject='bus', onset_s=JITTER_ONSET_S,
+      symptoms={'uneven rhythm'},
+      accounts_for={'slow cycle'})
+def jitter(case: Case) -> Claims:
+    """
+    A regular loop lost its rhythm.
+
+    Do: real-time priority; take slow work out of the loop.
+    """
+    rhythms = case.rhythms
+    if not rhythms or case.waits(WAITS_WINDOW_S):
+        return
+    fastest = min(one.base for one in rhythms)
+    often = [one for one in rhythms if one.base <= 2 * fastest]
+    if min(one.spread for one in often) <= JITTER_MIN_SPREAD:
+        return
+    best = min(often, key=attrgetter('jitter'))
+    ordered = sorted(best.periods)
+    edge = len(ordered) // 10
+    low, high = ordered[edge] / NS_PER_MS, ordered[-1 - edge] / NS_PER_MS
+    if best.jitter > JITTER_MIN_SPREAD and high - low > BLUR_FACTOR * case.blur_ms \
+            and (key_of(best.cycle) in case.steady or best.is_paced):
+        yield Claim("the master's cycle is no longer regular: its computer is busy, or its "
+                    'loop does too much; give it a higher priority',
+                    {'spread': f'{best.spread:.2f}',
+                     'cycle (ms)': f'{low:.1f} to {high:.1f}, '
+                                   f'usually {best.period / NS_PER_MS:.1f}'})
+
+
+@Rule(subject='bus or device', level=Level.OK, onset_s=1.0,
+      symptoms={'slow cycle'})
+def cycle_time(case: Case) -> Claims:
+    """
+    More than half of each cycle is one thing that could be faster.
+
+    It is work of the program (not a pause between cycles), answers that wait for it to read,
+    waiting for one device, or slow exchanges. Needs a source that knows who sent what.
+
+    Do: what the finding says.
+    """
+    times = case.report.cycle
+    if times is None or times.unknown:
+        return
+    most = CYCLE_MIN_SHARE * times.cycle
+    of_loop = [one for one in case.rhythms if one.period < 2 * NS_PER_MS * times.cycle]
+    if times.asleep > most:
+        yield Claim(f'{times.asleep:.0f} of {times.cycle:.0f} ms of each cycle the program lets '
+                    'answers wait: let it read at once as many bytes as come, with a time-out; '
+                    'not sleep before it reads, nor ask for more bytes than an answer has')
+    elif times.program > most:
+        works = times.busy is None or 2 * times.busy > times.program
+        if of_loop and works and not any(one.may_sleep for one in of_loop):
+            yield Claim('most of each cycle is the program itself, between an answer and '
+                        'the next instruction: do less there, or in another thread')
+    elif times.waiting and times.waiting[0][1] > most and times.waiting[0][0] in case.gone:
+        yield Claim('most of each cycle is a time-out for its answer: leave '
+                    'it out, or shorten the time-out', device=times.waiting[0][0])
+    elif times.wire + times.device > most:
+        yield from (Claim(todo) for todo in _faster(case, 2 * NS_PER_MS * times.cycle))
+
+
+def _faster(case: Case, within_ns: float) -> Iterator[str]:
+    """Yield what makes the exchanges of a cycle faster; what is asked less often is none."""
+    alike = Counter((one.address, one.length) for one in case.report.cycles
+                    if one.instruction == Instruction.READ and 2 * one.missed < one.asked
+                    and one.stamps[-1] - one.stamps[0] < within_ns * len(one.stamps))
+    reads = max(alike.values(), default=0)
+    slow = max((one.latency.window.p50 for one in case.report.devices if one.latency.window),
+               default=0.0)
+    if reads >= SINGLE_READS_MIN and '1.0' not in case.report.protocol:     # it has no Sync Read
+        yield (f'{reads} servos are read one by one, which is most of each cycle: use one Sync '
+               'Read for all')
+    elif slow > SLOW_ANSWER_MS:
+        yield ('most of each cycle is waiting for answers that do come: set the latency timer of '
+               'the adapter to 1 ms and Return Delay Time to 0')
+
+
+RULES = (two_masters, impatient_master, late_answers, wrong_length, latency_timer, bus_too_slow,
+    jitter, return_delay, cycle_time)
