@@ -312,7 +312,7 @@ class Link:
             sleep = self._wake_at - self._clock()
         if port.wait(max(sleep, 0) / SECOND, self._pipe.fd):
             self._receive(port)
-        self._pipe.swallow()
+        self._pipe.drain()
 
     def _receive(self, port: Port) -> None:
         chunk = port.read()
