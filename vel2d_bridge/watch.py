@@ -7,6 +7,40 @@ It has a copy of the open port, watches a heartbeat in shared memory, and writes
 is silent or the bridge is gone. A port that was lost while the rover drove it opens again itself,
 if the bridge does not. All it knows is on the board and in the queue, for the next dead man.
 Imports no ROS and nothing that is large: what it needs of the frame is handed to it.
+
+States: idle, no port and none to look for; guarding, the bridge has it open and beats; waiting,
+the bridge looks for a lost port; stopping and searching, a zero or a search for the port each
+STOP_PERIOD_S; last stops and last search, the same after the bridge has died; over.
+
+| state | event | next state | it does |
+|---|---|---|---|
+| idle | the bridge opens the port | guarding | |
+| idle | the bridge dies | over | |
+| idle | the bridge leaves | over | |
+| guarding | the bridge closes the port | idle | closes the port |
+| guarding | the bridge loses the port while it drives | waiting | closes the port |
+| guarding | no beat for SILENCE | stopping | writes a zero |
+| guarding | the bridge dies | last stops | writes a zero |
+| guarding | the bridge leaves | over | closes the port |
+| waiting | the bridge opens the port | guarding | |
+| waiting | the bridge gives up the port | idle | |
+| waiting | no beat for SILENCE | searching | |
+| waiting | the bridge dies | last search | |
+| waiting | the bridge leaves | over | |
+| stopping | a beat | guarding | |
+| stopping | the port fails | searching | closes the port |
+| stopping | the bridge dies | last stops | writes a zero |
+| searching | the port is there | stopping | writes a zero |
+| searching | another bridge has the port | idle | |
+| searching | a beat | waiting | |
+| searching | the bridge dies | last search | |
+| last stops | STOP_FRAMES zeros | over | closes the port |
+| last stops | the port fails | last search | closes the port |
+| last search | the port is there | last stops | writes a zero |
+| last search | another bridge has the port | over | |
+| last search | SEARCH_S | over | |
+
+A port that it found itself is closed at the next beat: stopping, then waiting.
 """
 from __future__ import annotations
 
