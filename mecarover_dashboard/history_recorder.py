@@ -284,6 +284,20 @@ def default_path() -> Path:
     return Path(state) / 'mecarover_serial' / NAME
 
 
+class ReadOnlyHistory:
+    """A history in a folder that one may only read: shown, and nothing is recorded."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.notice = self.problem = f'{path}: its folder may only be read, so nothing is recorded'
+
+    def look(self, state: State, now_s: float, unix_s: float) -> None:
+        """Record nothing."""
+
+    def close(self) -> None:
+        """Have nothing open."""
+
+
 class HistoryRecorder:
     """Records a State until it is closed; `path` can be read meanwhile."""
 
@@ -365,6 +379,9 @@ class HistoryRecorder:
             self.problem = ''
         except sqlite3.Error as error:
             self.problem = f'{self.path}: {_reason(error)}; the history has a gap'
+
+
+History = HistoryRecorder | ReadOnlyHistory
 
 
 def _reason(error: BaseException) -> str:

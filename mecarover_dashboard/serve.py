@@ -14,9 +14,12 @@ import sys
 from typing import Any
 from typing import TYPE_CHECKING
 
+from mecarover_dashboard.history import is_read_only
 from mecarover_dashboard.history_recorder import default_path
+from mecarover_dashboard.history_recorder import History
 from mecarover_dashboard.history_recorder import HistoryError
 from mecarover_dashboard.history_recorder import HistoryRecorder
+from mecarover_dashboard.history_recorder import ReadOnlyHistory
 from mecarover_serial.node_command_line import no_ros
 from mecarover_serial.node_command_line import options_of_node
 from servobus.plain import plain_streams
@@ -87,12 +90,14 @@ def open_server(options: argparse.Namespace, source: str = '',
     return Server(listener, about, is_open, recording, options.name, player, signals)
 
 
-def open_history(wanted: str | None) -> tuple[HistoryRecorder | None, str]:
+def open_history(wanted: str | None) -> tuple[History | None, str]:
     """Return what records the history; or None and why, which is said unless it is wanted."""
     if wanted == NONE:
         return None, NOT_WANTED
+    path = default_path() if wanted is None else Path(wanted)
+    recording: History
     try:
-        recording = HistoryRecorder(default_path() if wanted is None else Path(wanted))
+        recording = ReadOnlyHistory(path) if is_read_only(path) else HistoryRecorder(path)
     except HistoryError as error:
         print(f'{NAME}: no history: {printable(str(error))}', file=sys.stderr)
         return None, str(error)

@@ -33,7 +33,7 @@ from mecarover_dashboard.client import Client
 from mecarover_dashboard.client import json_text
 from mecarover_dashboard.connection_limit import ConnectionLimit
 from mecarover_dashboard.connection_limit import HEAD_S
-from mecarover_dashboard.history_recorder import HistoryRecorder
+from mecarover_dashboard.history_recorder import History
 from mecarover_dashboard.history_requests import HistoryRequests
 from mecarover_dashboard.rows import finite
 from mecarover_dashboard.signal_requests import ReportedSignals
@@ -114,7 +114,7 @@ class Server:
     """
 
     def __init__(self, listener: socket.socket, facts: dict[str, Any], is_open: bool,
-                 recording: HistoryRecorder | None = None, name: str = '',
+                 recording: History | None = None, name: str = '',
                  player: RecordingPlayer | None = None,
                  signals: SignalSource | None = None) -> None:
         self._listener = listener

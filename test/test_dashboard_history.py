@@ -1,6 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """The history of the dashboard: what is kept, for how long, and what a file survives."""
+from contextlib import suppress
 import json
 import os
 from pathlib import Path
@@ -8,6 +9,7 @@ import socket
 import sqlite3
 import subprocess
 import sys
+import tempfile
 import time
 from urllib.error import HTTPError
 from urllib.parse import urlencode
@@ -367,6 +369,38 @@ def test_a_place_that_cannot_be_written(tmp_path):
     (tmp_path / 'file').touch()
     with pytest.raises(HistoryError, match='file exists; give another file with --history'):
         HistoryRecorder(tmp_path / 'file' / 'history.sqlite')
+
+
+@pytest.fixture
+def read_only_path():
+    """Yield a history that other users may read, in a folder without write access."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / 'history.sqlite'
+        writer = HistoryWriter(path)
+        writer.write([], [Event(NIGHT, KNEE, 'state', 0, 'connected')])
+        writer.close()
+        os.chmod(folder, 0o555)
+        yield path
+        os.chmod(folder, 0o755)
+
+
+def test_in_a_folder_that_one_may_only_read_it_opens(read_only_path, capfd):
+    child = os.fork()
+    if child == 0:                      # root may write anywhere
+        with suppress(Exception):
+            if os.geteuid() == 0:
+                os.setuid(65534)
+            recording, without = open_history(str(read_only_path))
+            [event] = read(recording.path)[1]
+            recording.close()
+            os.write(1, f'{event.text}{without}'.encode())
+        os._exit(0)
+    os.waitpid(child, 0)
+    out, err = capfd.readouterr()
+    assert out == 'connected'
+    assert err == (f'dxl_dashboard: {read_only_path}: its folder may only be read, so nothing is '
+                   'recorded\n')
+    assert [name.name for name in read_only_path.parent.iterdir()] == ['history.sqlite']
 
 
 def test_where_it_is(monkeypatch, tmp_path):
