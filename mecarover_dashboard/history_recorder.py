@@ -60,7 +60,7 @@ class _LastSeen:
 
     arrived: float = -1.0
     state: tuple[int, str] | None = None
-    told: str = ''              # the text of its last state that was noted
+    logged_text: str = ''              # the text of its last state that was noted
     findings: dict[str, bool] = field(default_factory=dict)     # rules; whether it was noted
     row: Row = field(default_factory=dict)
     window: Window | None = None
@@ -78,7 +78,7 @@ class _LastSeen:
 
 
 class HistorySampler:
-    """Looks at a State again and again; `taken` gives what there is to keep since then."""
+    """Looks at a State again and again; `take_batch` gives what there is to keep since then."""
 
     def __init__(self, errors_until: dict[str, float] | None = None) -> None:
         self._seen: dict[str, _LastSeen] = {}
@@ -88,7 +88,7 @@ class HistorySampler:
         self._flushed_s = 0.0       # monotonic s
         self._flushed_at = 0        # the window that ran then
 
-    def look(self, state: State, now_s: float, unix_s: float) -> None:
+    def sample_state(self, state: State, now_s: float, unix_s: float) -> None:
         """Take in what was reported since the last look."""
         offset_s = unix_s - now_s
         parts = {(part.node, part.bus): part for part in state.parts()}
@@ -123,7 +123,7 @@ class HistorySampler:
                 last.arrived = report.arrived
                 self._add(last, source, report, state, unix_s)
                 if kind == 'buses':
-                    self._take_errors(last, source, row, offset_s,
+                    self._add_errors(last, source, row, offset_s,
                                       away.get((row['node'], row['bus']), set()))
 
     def _last(self, name: str) -> _LastSeen:
@@ -141,7 +141,7 @@ class HistorySampler:
         self._flushed_s, self._flushed_at = now_s, at
         return True
 
-    def taken(self, unix_s: float = math.inf) -> tuple[list[Window], list[Event]]:
+    def take_batch(self, unix_s: float = math.inf) -> tuple[list[Window], list[Event]]:
         """Return what to write: windows that ended until then, and events."""
         windows, events = self._done, self._events
         self._done, self._events = [], []
@@ -188,7 +188,7 @@ class HistorySampler:
         is_of_finding = row['message'] in _texts(row) and not is_lost(row)
         if now != before and not (is_of_finding and now[1] == before[1]):
             self._events.append(Event(unix_s, source, 'state', now[0], row['message']))
-            last.state, last.told = now, row['message']
+            last.state, last.logged_text = now, row['message']
         last.state = last.state or before
         if not is_lost(row):
             self._judge_findings(last, source, row, bus, unix_s)
@@ -203,8 +203,8 @@ class HistorySampler:
                            for rule, _, severity in row['findings'])
         for rule, (level, text) in found.items():
             if rule not in last.findings:
-                last.findings[rule] = text != last.told
-                if text != last.told:
+                last.findings[rule] = text != last.logged_text
+                if text != last.logged_text:
                     self._events.append(
                         Event(unix_s, source, 'finding', level, f'{_words(rule)}: {text}'))
         for rule in last.findings.keys() - found.keys():
@@ -218,7 +218,7 @@ class HistorySampler:
                          for rule, is_noted in last.findings.items() if is_noted]
         last.findings.clear()
 
-    def _take_errors(self, last: _LastSeen, source: Subject, row: Row, offset_s: float,
+    def _add_errors(self, last: _LastSeen, source: Subject, row: Row, offset_s: float,
                      away: set[str]) -> None:
         """Note the errors that are new, the oldest first, but for those of devices away."""
         if last.error_s is None:
@@ -291,7 +291,7 @@ class ReadOnlyHistory:
         self.path = path
         self.notice = self.problem = f'{path}: its folder may only be read, so nothing is recorded'
 
-    def look(self, state: State, now_s: float, unix_s: float) -> None:
+    def sample_state(self, state: State, now_s: float, unix_s: float) -> None:
         """Record nothing."""
 
     def close(self) -> None:
@@ -308,7 +308,7 @@ class HistoryRecorder:
         self.problem = ''       # why nothing is written now
         try:
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            self._take_lock(path.with_name(f'{path.name}.lock'))
+            self._lock_file(path.with_name(f'{path.name}.lock'))
             self._writer = self._open()
         except (OSError, sqlite3.Error) as error:
             raise HistoryError(f'{path}: {_reason(error)}; give another file with --history '
@@ -318,7 +318,7 @@ class HistoryRecorder:
         self._thread = threading.Thread(target=self._run, name='history', daemon=True)
         self._thread.start()
 
-    def _take_lock(self, path: Path) -> None:
+    def _lock_file(self, path: Path) -> None:
         """Lock a file and leave what is in it; a link is not followed, it may lead anywhere."""
         flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
         try:
@@ -340,15 +340,15 @@ class HistoryRecorder:
                            f'to {aside.name}')
             return HistoryWriter(self.path)
 
-    def look(self, state: State, now_s: float, unix_s: float) -> None:
+    def sample_state(self, state: State, now_s: float, unix_s: float) -> None:
         """Take in what was reported; never waits."""
-        self._sampler.look(state, now_s, unix_s)
+        self._sampler.sample_state(state, now_s, unix_s)
         if self._sampler.is_due(now_s, unix_s):
             self._hand_over(unix_s)
 
     def _hand_over(self, unix_s: float = math.inf) -> None:
         try:
-            self._batches.put_nowait(self._sampler.taken(unix_s))
+            self._batches.put_nowait(self._sampler.take_batch(unix_s))
         except queue.Full:
             self.problem = f'{self.path}: the disk is too slow, so part of the history is lost'
 

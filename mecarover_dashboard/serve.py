@@ -50,12 +50,14 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run the dashboard; return the exit code."""
     options, arguments = options_of_node(make_parser(), args)
     try:
-        from mecarover_dashboard.topic_subscriber import Subscriber
+        from mecarover_dashboard.topic_subscriber import PageSubscriber
         from mecarover_serial.ros_node import run
     except ImportError as error:
         return no_ros(NAME, error)
     server = open_server(options)
-    return COULD_NOT_RUN if server is None else run(NAME, lambda: Subscriber(server), arguments)
+    if server is None:
+        return COULD_NOT_RUN
+    return run(NAME, lambda: PageSubscriber(server), arguments)
 
 
 def open_server(options: argparse.Namespace, source: str = '',

@@ -90,7 +90,7 @@ class SourceRun:
         """Yield up to when all was handed on, a few times a second."""
         raise NotImplementedError
 
-    def _take(self, chunk: Chunk, wire: Wire) -> None:
+    def _feed_bus(self, chunk: Chunk, wire: Wire) -> None:
         bus = self._heard.get(chunk.bus)
         if bus is None:
             bus = self._heard[chunk.bus] = HeardBus(wire, self._models, self._options)
@@ -162,7 +162,7 @@ class ProgramRun(SourceRun):
                 self._known = max(self._known, time.monotonic_ns() - int(HOLD_S * S))
             else:
                 self._known = max(self._known, chunk.stamp)
-                self._take(chunk, self._program.wire(chunk.bus))
+                self._feed_bus(chunk, self._program.wire(chunk.bus))
             yield self._known
 
     def end(self) -> Verdict:

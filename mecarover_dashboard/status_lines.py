@@ -110,7 +110,7 @@ def _message(row: rows.Row, now_s: float) -> str:
 def _lines(state: State, now_s: float, every_device: bool | None) -> Iterator[StatusLine]:
     hiding = set()
     for part in state.parts():
-        yield StatusLine(part.level, part.robot, part.name, part.said(now_s))
+        yield StatusLine(part.level, part.robot, part.name, part.sentence(now_s))
         if part.hides_devices:
             hiding.add((part.node, part.bus))
     for report in () if every_device is None else state.reports('devices'):

@@ -70,13 +70,13 @@ class FakeMcu:
             self._receive(self._pty.master)
         self._read = self._clock()
         taken = self.receiver.advance(self._read)
-        text = self.receiver.says(self._read)
+        text = self.receiver.text_to_host(self._read)
         if self._talks and text:
             with suppress(OSError):                  # no one reads, or the cable is out
-                self.say(text.encode())
+                self.send_text(text.encode())
         return taken
 
-    def say(self, text: bytes) -> None:
+    def send_text(self, text: bytes) -> None:
         """Send something to the host, as firmware does that logs to the same UART."""
         if self._pty is not None:
             os.write(self._pty.master, text)

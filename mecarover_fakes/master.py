@@ -182,9 +182,9 @@ class Master:
             for effect in self._faults.active:
                 if burst.start >= effect.fault.begin:
                     effect.damage(burst)
-        self.truth.count(bursts)
+        self.truth.count_bursts(bursts)
         done = [exchange for exchange in self._backlog if exchange.end <= self.now]
         for exchange in sorted(done, key=lambda one: one.bursts[0].start):
-            self.truth.take(exchange)
+            self.truth.count_exchange(exchange)
             self._backlog.remove(exchange)
         yield from bursts

@@ -209,7 +209,7 @@ class _Mishaps:
         self._node = app.node
         self._package = type(app).__module__.partition('.')[0]
         self._since = math.inf          # it has only raised
-        self._said: dict[str, float] = {}
+        self._last_logged: dict[str, float] = {}
 
     def spin_once(self, executor: SingleThreadedExecutor) -> None:
         """Make one call; raise what ends the node."""
@@ -236,8 +236,8 @@ class _Mishaps:
                     'what another node sent was thrown away: correct that node')
         self._since = min(self._since, now_s)
         self._unlock()
-        if now_s - self._said.get(place, -math.inf) >= SAY_AGAIN_S:
-            self._said[place] = now_s
+        if now_s - self._last_logged.get(place, -math.inf) >= SAY_AGAIN_S:
+            self._last_logged[place] = now_s
             with suppress(MemoryError):
                 self._node.get_logger().warning(printable(line))
         return now_s - self._since < USELESS_S

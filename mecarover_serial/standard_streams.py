@@ -54,7 +54,7 @@ class StandardStreams:
                 file = status.st_dev, status.st_ino
                 if file not in known:           # one pipe where both are one: the order stays
                     known[file] = _Way(fd, self._name)
-                known[file].take(fd)
+                known[file].redirect(fd)
         self._ways = list(known.values())
         self._thread.start()
         return self
@@ -102,7 +102,7 @@ class _Way:
         self._lost = 0
         self._is_broken = False                 # its reader has gone
 
-    def take(self, fd: int) -> None:
+    def redirect(self, fd: int) -> None:
         os.dup2(self._pipe, fd)
         self._taken.append(fd)
         if fd == 2 and faulthandler.is_enabled():

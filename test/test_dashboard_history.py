@@ -77,8 +77,8 @@ def looked_at(robot, seconds, recorder=None):
     recorder, state = recorder or HistorySampler(), State()
     for second in seconds:
         robot.tell(state, second)
-        recorder.look(state, second, NIGHT + second)
-    return recorder.taken()
+        recorder.sample_state(state, second, NIGHT + second)
+    return recorder.take_batch()
 
 
 def test_what_is_kept_of_a_window():
@@ -102,13 +102,13 @@ def test_a_window_is_written_once_and_an_event_soon():
         robot.lost = {7} if second >= 17 else set()
         if second < 300:
             robot.tell(state, 100.0 + second)
-        sampler.look(state, 100.0 + second, NIGHT + second)
+        sampler.sample_state(state, 100.0 + second, NIGHT + second)
         if sampler.is_due(100.0 + second, NIGHT + second):
-            windows, events = sampler.taken(NIGHT + second)
+            windows, events = sampler.take_batch(NIGHT + second)
             assert len(windows) in (0, 24 + 1 + 2)          # each source once
             batches.append((second, {one.at - NIGHT for one in windows}, len(events)))
     assert batches == [(0, set(), 0), (10, {0}, 0), (17, set(), 1), (20, {10}, 0), (300, {20}, 0)]
-    assert sampler.taken() == ([], [])
+    assert sampler.take_batch() == ([], [])
 
 
 class Watched:
@@ -122,9 +122,9 @@ class Watched:
         if robot:
             robot.tell(self._state, second)
         self._state.expire(second)
-        self._sampler.look(self._state, second, NIGHT + second)
+        self._sampler.sample_state(self._state, second, NIGHT + second)
         return [(event.kind, event.level, event.source.name.rpartition(': ')[2], event.text)
-                for event in self._sampler.taken()[1]]
+                for event in self._sampler.take_batch()[1]]
 
 
 def test_events():
@@ -237,8 +237,8 @@ def test_noise_does_not_fill_the_file():
     robot.tell(state, 100.0)
     row = next(state.reports('buses')).row
     row['errors'] = [(100.0 + at / 100, 'noise') for at in range(200)]
-    recorder.look(state, 102.0, NIGHT + 102.0)
-    errors = [event for event in recorder.taken()[1] if event.kind == 'error']
+    recorder.sample_state(state, 102.0, NIGHT + 102.0)
+    errors = [event for event in recorder.take_batch()[1] if event.kind == 'error']
     assert len(errors) == MOST_ERRORS
     assert errors[-1].text == 'noise; more errors in these 10 s are not listed'
 
@@ -283,8 +283,8 @@ def test_no_error_is_noted_twice_where_the_two_clocks_are_read_late():
     noted = []
     for second, late in ((100.0, 0.0), (100.1, 0.4), (100.15, -0.2), (100.2, 2.0)):
         robot.tell(state, 100.0, second)
-        recorder.look(state, second, NIGHT + second + late)
-        noted.append([event.text for event in recorder.taken()[1] if event.kind == 'error'])
+        recorder.sample_state(state, second, NIGHT + second + late)
+        noted.append([event.text for event in recorder.take_batch()[1] if event.kind == 'error'])
     assert noted[0] and noted[1:] == [[], [], []]
 
 

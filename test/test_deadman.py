@@ -48,7 +48,7 @@ while len(deadman.pids) < 2:
     time.sleep(0.01)
 print(*deadman.pids, flush=True)
 while not select.select([sys.stdin], [], [], 0.01)[0]:
-    link.offer(Vel2d(0.5, 0.0, 0.0))
+    link.offer_command(Vel2d(0.5, 0.0, 0.0))
 link.close()
 state = link.state()
 print(json.dumps({'freezes': state.freezes, 'deadman': state.deadman}), flush=True)

@@ -197,7 +197,7 @@ class Rehearsal:
     def plug_in_claimed(self):
         self.plug_in()
         with open(self._link, 'rb', buffering=0) as port:
-            self._stranger.take(port.fileno(), self._link)
+            self._stranger.claim_port(port.fileno(), self._link)
 
     def pass_time(self):
         self.now_s += SEARCH_S

@@ -40,12 +40,12 @@ from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 from servobus.port.inspection import Inspection
 from servobus.port.port_error import PortError
-from vel2d_bridge.bridge_settings import doubts
 from vel2d_bridge.bridge_settings import gate_settings
 from vel2d_bridge.bridge_settings import PARAMETERS
 from vel2d_bridge.bridge_settings import refuse_at_run_time
 from vel2d_bridge.bridge_settings import refuse_at_start
-from vel2d_bridge.bridge_settings import taken_away
+from vel2d_bridge.bridge_settings import removed_limits
+from vel2d_bridge.bridge_settings import warnings
 from vel2d_bridge.bridge_status import Commands
 from vel2d_bridge.bridge_status import commands_status
 from vel2d_bridge.bridge_status import link_status
@@ -81,8 +81,9 @@ class Bridge:
 
     | attributes | who writes them |
     |---|---|
-    | _values, _refused, _told, _not_kept | callbacks of parameters, commands and services |
-    | _said, _around, _levels, _reported, _known_freezes | _watch(), of the same thread |
+    | _values, _refused, _last_logged, _not_kept | callbacks of parameters, commands and services |
+    | _known_complaints, _around, _levels | _watch(), of the same thread |
+    | _reported, _known_freezes | _watch(), too |
     | _sent, _port_log, _hopeless, _mcu | the port's thread; _watch() takes out |
     | all others | set once |
     """
@@ -99,10 +100,10 @@ class Bridge:
         self._port_log = PortLog()
         self._hopeless: PortError | None = None
         self._inspection = Inspection(self._port, [DEADMAN_NAME])
-        self._said: set[str] = set()                # complaints that still stand
+        self._known_complaints: set[str] = set()
         self._known_freezes = 0
         self._refused: tuple[Outcome, int] | None = None
-        self._told: dict[Outcome, int] = {}         # when a reason was last logged
+        self._last_logged: dict[Outcome, int] = {}     # ns, by reason
         self._levels: list[Level] = []
         self._not_kept = ''                         # why switching off would not outlast a restart
         self._reported = 0.0
@@ -127,7 +128,7 @@ class Bridge:
         self.node.create_timer(WATCH_S, self._watch, clock=steady)
         if not CRC_IS_FAST:
             self._log.warning(SLOW_CRC_WARNING)
-        self._warn(doubts(self._values))
+        self._warn(warnings(self._values))
         self._link.start()
 
     def stop(self) -> None:
@@ -179,9 +180,9 @@ class Bridge:
         if 'enabled' in changes:
             self._switch(changes['enabled'])
         self._link.apply(gate_settings(self._values), self._values['write_timeout'])
-        known = doubts(before)
-        self._warn([*taken_away(before, self._values),
-                    *(line for line in doubts(self._values) if line not in known)])
+        known = warnings(before)
+        self._warn([*removed_limits(before, self._values),
+                    *(line for line in warnings(self._values) if line not in known)])
 
     def _switch(self, is_on: bool) -> None:
         """Take commands, or stop and refuse them; first the rover, then the disk."""
@@ -200,12 +201,12 @@ class Bridge:
         self._notice_freeze()
         now = time.monotonic_ns()
         velocity = Vel2d(twist.linear.x, twist.linear.y, twist.angular.z)
-        verdict = self._link.offer(velocity, waited=waited, stamp_age=stamp_age)
+        verdict = self._link.offer_command(velocity, waited=waited, stamp_age=stamp_age)
         self._timing.command_came(now, stamp_age)       # only now: the frame is on its way
         if verdict is not Outcome.ACCEPTED:
             self._refused = verdict, now
-            if now - self._told.get(verdict, -THROTTLE_NS) >= THROTTLE_NS:
-                self._told[verdict] = now
+            if now - self._last_logged.get(verdict, -THROTTLE_NS) >= THROTTLE_NS:
+                self._last_logged[verdict] = now
                 say = self._log.debug if verdict is Outcome.SHUTDOWN else self._log.warning
                 say(refusal(
                     full_name(self.node), self._subscriber.topic, velocity, verdict,
@@ -255,7 +256,7 @@ class Bridge:
         state = self._link.state()
         if state.is_open:
             self._inspection.look(state.openings, time.monotonic())
-        self._subscriber.look()
+        self._subscriber.follow_graph()
         self._around = self._surroundings.complaints()
         self._write_logs()
         self._report()
@@ -269,7 +270,7 @@ class Bridge:
         if left_out := self._port_log.left_out():
             self._log.warning(f'{self._port}: was opened or lost {left_out} more times than this '
                               'log shows, as the node was blocked; the next lines are the newest')
-        for problem in self._port_log.take():
+        for problem in self._port_log.take_changes():
             if problem is None:         # two lines: rclpy ties a severity to a place in the code
                 until = 'a command comes' if self._link.gate.enabled else 'commands are enabled'
                 self._log.info(f'{self._port}: open at {self._values["baud"]} baud; the '
@@ -279,7 +280,7 @@ class Bridge:
 
     def _write_logs(self) -> None:
         self._log_changes()
-        self._say_new([*self._link_warnings(), *self._around, *self._subscriber.warnings])
+        self._warn_of_new([*self._link_warnings(), *self._around, *self._subscriber.warnings])
         crc = CRC_INPUTS[self._values['crc_input']]
         while self._sent:
             velocity = self._sent.popleft().velocity
@@ -287,7 +288,7 @@ class Bridge:
             self._log.debug(f'sending [{velocity.x}, {velocity.y}, {velocity.omega}], '
                             f'crc: {checksum}')
         now = time.monotonic_ns()
-        for line in self._mcu.take(now):
+        for line in self._mcu.take_lines(now):
             self._log.info(f'MCU: {line}')
         if garbage := self._mcu.garbage(now):
             self._log.warning(f'{self._port}: {garbage}')
@@ -298,10 +299,10 @@ class Bridge:
             f'{self._port}: {line}'
             for line in self._mcu.complaints(time.monotonic_ns(), self._other_crc_input))]
 
-    def _say_new(self, complaints: Sequence[str]) -> None:
+    def _warn_of_new(self, complaints: Sequence[str]) -> None:
         """Warn of a complaint once, when it comes up."""
-        self._warn([line for line in complaints if line not in self._said])
-        self._said = set(complaints)
+        self._warn([line for line in complaints if line not in self._known_complaints])
+        self._known_complaints = set(complaints)
 
     def _report(self) -> None:
         """Publish both statuses once a second, and at once when a level changes."""

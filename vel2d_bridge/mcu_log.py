@@ -91,7 +91,7 @@ class McuLog:
         else:
             self._skipped += 1
 
-    def take(self, now: int) -> list[str]:
+    def take_lines(self, now: int) -> list[str]:
         """Return the lines since the last call, at most a few per second."""
         if now - self._taken < _SECOND:
             return []

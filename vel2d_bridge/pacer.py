@@ -116,12 +116,12 @@ class Pacer:
         self._last_turn_at = now
         return self.step(now)
 
-    def offer(
+    def offer_command(
             self, velocity: Vel2d, now: int, *, waited: int = 0, stamp_age: int | None = None,
             acted: bool = False) -> Outcome:
         """Judge a command; a `step` after it writes it at once, if the rate allows."""
         self.notice_freeze(now, acted)
-        return self.gate.offer(velocity, now, waited=waited, stamp_age=stamp_age)
+        return self.gate.offer_command(velocity, now, waited=waited, stamp_age=stamp_age)
 
     def notice_freeze(self, now: int, acted: bool) -> None:
         """
