@@ -328,7 +328,8 @@ class Bridge:
             subscriber.topic, subscriber.subscribed, self._values['cmd_vel_timeout'],
             [*(f'{self._port}: {line}'
                for line in self._mcu.refused_drives(now, self._other_crc_input)),
-             *self._around, *subscriber.complaints], self._timing.command_period.summary(now),
+             *self._around, *subscriber.complaints],
+            self._timing.series['command_period'].summary(now),
             subscriber.zero_stamps, verdict if now - refused_at < REFUSED_NS else None,
             self._surroundings.clock_stands(), subscriber.absence)
         return [link_status(name, self._port, state, self._link_warnings(), self._mcu, now),
