@@ -25,9 +25,9 @@ from dxl_monitor.monitor_settings import PARAMETERS
 from dxl_monitor.timers import Timers
 from mecarover_serial.process import resident_memory_mb
 from mecarover_serial.ros_node import declare
+from mecarover_serial.ros_node import GraphCheck
 from mecarover_serial.ros_node import overridable_publisher
 from mecarover_serial.ros_node import Stoppable
-from mecarover_serial.ros_node import Surroundings
 from mecarover_serial.ros_node import warn_of_overrides
 from msg_defs.crc import CRC_IS_FAST
 from msg_defs.crc import SLOW_CRC_WARNING
@@ -103,7 +103,7 @@ class MonitorNode(Stoppable):
         self._recorders = make_recorders(values)
         self._buses = [MonitoredBus(bus, models, self._recorders, values['joint_state_rate'])
                            for bus in found]
-        self._surroundings = Surroundings(self.node)
+        self._graph_check = GraphCheck(self.node)
         self._known_complaints: set[str] = set()
         self._port_words: dict[str, str] = {}
         self._bus_logs = [BusLog(one.bus.label) for one in self._buses]
@@ -216,16 +216,16 @@ class MonitorNode(Stoppable):
 
     def _make_reports(self, now: int) -> list[Reported]:
         self._alarms, self._reported = self._count_alarms(), now
-        around = self._surroundings.complaints()
-        for line in set(around) - self._known_complaints:
+        complaints = self._graph_check.complaints()
+        for line in set(complaints) - self._known_complaints:
             self._log.warning(line)
-        self._known_complaints = set(around)
+        self._known_complaints = set(complaints)
         reports = [(one, one.report(now)) for one in self._buses]
         if self._recorders.flight is not None:
             for one, report in reports:
                 self._recorders.flight.look(one.bus.name, report)
             self._log_recorders()
-        return [(one, report, one.port_state(around)) for one, report in reports]
+        return [(one, report, one.port_state(complaints)) for one, report in reports]
 
     def _publish_reports(self, reports: list[Reported]) -> None:
         """

@@ -109,10 +109,10 @@ class HistorySampler:
                 last = self._last(report.row_name)
                 source = Subject(report.row_name, kind, row['robot'], report.values.unit)
                 part = parts[row['node'], row.get('bus')]
-                is_told = (kind == 'devices' and part.hides_devices) or not part.is_known
+                is_of_part = (kind == 'devices' and part.hides_devices) or not part.is_known
                 if (row['node'], row.get('bus')) in restarted:
                     self._forget_findings(last, source, unix_s)
-                if row is not last.row and not is_told:
+                if row is not last.row and not is_of_part:
                     last.row = row
                     if kind == 'devices':
                         self._judge_device(last, source, row, own.get(part.row_name), unix_s)

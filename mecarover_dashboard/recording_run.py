@@ -95,7 +95,7 @@ class RecordingRun(SourceRun):
         self._file = self._open()
         self._chunks = filter(None, self._file.chunks())
         self._next = next(self._chunks, None)
-        self._now = self._noted = self._next.stamp if self._next else 0
+        self._now = self._judged_until = self._next.stamp if self._next else 0
 
     def _stamps(self) -> Iterator[int]:
         last_s = time.monotonic()
@@ -132,11 +132,11 @@ class RecordingRun(SourceRun):
         """Hear what there is up to a stamp, and report on it as often as dxl_doctor does."""
         while self._next is not None and self._next.stamp <= until:
             chunk = self._next
-            if chunk.stamp - self._noted > LONGEST_PAUSE_NS:
-                self._noted = chunk.stamp
-            while chunk.stamp - self._noted >= REPORT_NS:
-                self._noted += REPORT_NS
-                self._feed.judge_buses(self._noted)
+            if chunk.stamp - self._judged_until > LONGEST_PAUSE_NS:
+                self._judged_until = chunk.stamp
+            while chunk.stamp - self._judged_until >= REPORT_NS:
+                self._judged_until += REPORT_NS
+                self._feed.judge_buses(self._judged_until)
             self._feed_bus(chunk, self._file.wire(chunk.bus))
             self._now = chunk.stamp
             self._next = next(self._chunks, None)

@@ -76,12 +76,12 @@ class SourceRun:
     def start(self) -> None:
         """Begin to listen."""
 
-    def play(self, look: Callable[[], bool]) -> None:
-        """Hand on what comes until the end, or Ctrl-C, or look() says so, called all the time."""
+    def play(self, show: Callable[[], bool]) -> None:
+        """Hand on what comes until the end, or Ctrl-C, or show() says so, called all the time."""
         try:
             for now in self._stamps():
                 self._feed.turn(now)
-                if look():
+                if show():
                     break
         except KeyboardInterrupt:
             pass
@@ -171,7 +171,7 @@ class ProgramRun(SourceRun):
         for name, bus in self._heard.items():
             bus.monitor.end(self._known, ending.failed, self._program.users.get(name, ()))
         self._feed.report(self._known)
-        said = self._verdict(
+        found = self._verdict(
             lambda: no_data.of_program(self._command, self._program.ports, ending))
         trouble = ending.trouble()
-        return said._replace(wrong=(*said.wrong, *([trouble] if trouble else [])))
+        return found._replace(wrong=(*found.wrong, *([trouble] if trouble else [])))

@@ -115,8 +115,8 @@ def _lines(state: State, now_s: float, every_device: bool | None) -> Iterator[St
             hiding.add((part.node, part.bus))
     for report in () if every_device is None else state.reports('devices'):
         row, level = report.row, level_of(report.row)
-        is_told = level is Level.OK or (row['node'], row['bus']) in hiding
-        if every_device or not is_told:
+        is_shown_above = level is Level.OK or (row['node'], row['bus']) in hiding
+        if every_device or not is_shown_above:
             yield StatusLine(level, row['robot'], rows.split_name(report.row_name)[1],
                              _message(row, now_s))
 

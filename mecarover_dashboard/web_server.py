@@ -81,7 +81,7 @@ def is_ours(host: str, names: frozenset[str], any_address: bool) -> bool:
         return name in names
 
 
-class _Mistakes(logging.Filter):
+class _ClientErrors(logging.Filter):
     """Keeps out of the log what clients do wrong, or leave half done: anybody could fill it."""
 
     def filter(self, record: logging.LogRecord) -> bool:
@@ -202,7 +202,7 @@ class Server:
         self._ended, self._haste, self._pushed = (asyncio.Event() for _ in range(3))
         self._loop = asyncio.get_running_loop()
         logger = logging.getLogger('dxl_dashboard')
-        logger.addFilter(_Mistakes())
+        logger.addFilter(_ClientErrors())
         runner = web.AppRunner(self._app(), access_log=None, handle_signals=False,
                                shutdown_timeout=0.5, logger=logger,
                                keepalive_timeout=HEAD_S)       # for each later request too

@@ -23,7 +23,7 @@ from std_srvs.srv import SetBool
 from std_srvs.srv import Trigger
 
 from mecarover_serial.ros_node import declare
-from mecarover_serial.ros_node import Surroundings
+from mecarover_serial.ros_node import GraphCheck
 from mecarover_serial.ros_node import warn_of_overrides
 from msg_defs.crc import CRC_INPUTS
 from msg_defs.crc import CRC_IS_FAST
@@ -82,7 +82,7 @@ class Bridge:
     | attributes | who writes them |
     |---|---|
     | _values, _refused, _last_logged, _not_kept | callbacks of parameters, commands and services |
-    | _known_complaints, _around, _levels | _watch(), of the same thread |
+    | _known_complaints, _graph_complaints, _levels | _watch(), of the same thread |
     | _reported, _known_freezes | _watch(), too |
     | _sent, _port_log, _hopeless, _mcu | the port's thread; _watch() takes out |
     | all others | set once |
@@ -115,8 +115,8 @@ class Bridge:
             self.node, self._values['message_type'], self._on_command, self._on_type,
             self._on_left)
         warn_of_overrides(self.node, [f'{self._subscriber.topic}.subscription'])
-        self._surroundings = Surroundings(self.node)
-        self._around: list[str] = []
+        self._graph_check = GraphCheck(self.node)
+        self._graph_complaints: list[str] = []
         self.node.create_service(SetBool, '~/enable', self._enable)
         self.node.create_service(Trigger, '~/reset_statistics', self._reset_statistics)
         self._diagnostics = self.node.create_publisher(
@@ -210,7 +210,7 @@ class Bridge:
                 say = self._log.debug if verdict is Outcome.SHUTDOWN else self._log.warning
                 say(refusal(
                     full_name(self.node), self._subscriber.topic, velocity, verdict,
-                    self._surroundings.clock_stands()))
+                    self._graph_check.lacks_clock()))
         if twist.linear.z or twist.angular.x or twist.angular.y:
             self._log.warning(
                 f'{self._subscriber.topic}: linear.z, angular.x and angular.y are ignored, as the '
@@ -257,7 +257,7 @@ class Bridge:
         if state.is_open:
             self._inspection.look(state.openings, time.monotonic())
         self._subscriber.follow_graph()
-        self._around = self._surroundings.complaints()
+        self._graph_complaints = self._graph_check.complaints()
         self._write_logs()
         self._report()
 
@@ -280,7 +280,8 @@ class Bridge:
 
     def _write_logs(self) -> None:
         self._log_changes()
-        self._warn_of_new([*self._link_warnings(), *self._around, *self._subscriber.warnings])
+        self._warn_of_new([*self._link_warnings(), *self._graph_complaints,
+                           *self._subscriber.warnings])
         crc = CRC_INPUTS[self._values['crc_input']]
         while self._sent:
             velocity = self._sent.popleft().velocity
@@ -328,10 +329,10 @@ class Bridge:
             subscriber.topic, subscriber.subscribed, self._values['cmd_vel_timeout'],
             [*(f'{self._port}: {line}'
                for line in self._mcu.refused_drives(now, self._other_crc_input)),
-             *self._around, *subscriber.complaints],
+             *self._graph_complaints, *subscriber.complaints],
             self._timing.series['command_period'].summary(now),
             subscriber.zero_stamps, verdict if now - refused_at < REFUSED_NS else None,
-            self._surroundings.clock_stands(), subscriber.absence)
+            self._graph_check.lacks_clock(), subscriber.absence)
         return [link_status(name, self._port, state, self._link_warnings(), self._mcu, now),
                 commands_status(name, self._port, state, self._link.gate.counters, commands)]
 
