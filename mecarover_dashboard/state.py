@@ -129,11 +129,11 @@ class State:
 
     def _is_of_device(self, status: AnyStatus) -> bool:
         of = rows.metric_of(status)
-        bus = f'{rows.split(status)[0]}: bus {of}'
+        bus = f'{rows.split_name(status.name)[0]}: bus {of}'
         return rows.is_device(of) and bus not in self._entries['buses']
 
     def _store_latency(self, status: AnyStatus, now_s: float) -> None:
-        name = f'{rows.split(status)[0]}: {rows.metric_of(status)}'
+        name = f'{rows.split_name(status.name)[0]}: {rows.metric_of(status)}'
         if name in self._entries['devices']:
             points = self._latencies.get(name)
             if points is None:

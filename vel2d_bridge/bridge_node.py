@@ -202,7 +202,7 @@ class Bridge:
         now = time.monotonic_ns()
         velocity = Vel2d(twist.linear.x, twist.linear.y, twist.angular.z)
         verdict = self._link.offer_command(velocity, waited=waited, stamp_age=stamp_age)
-        self._timing.command_came(now, stamp_age)       # only now: the frame is on its way
+        self._timing.add_command(now, stamp_age)       # only now: the frame is on its way
         if verdict is not Outcome.ACCEPTED:
             self._refused = verdict, now
             if now - self._last_logged.get(verdict, -THROTTLE_NS) >= THROTTLE_NS:
@@ -236,7 +236,7 @@ class Bridge:
     # The port's thread calls these
 
     def _on_sent(self, sent: Sent) -> None:
-        self._timing.sent(sent)
+        self._timing.add_frame(sent)
         self._mcu.drives += sent.velocity != STOP
         if self._log.get_effective_level() <= LoggingSeverity.DEBUG:
             self._sent.append(sent)

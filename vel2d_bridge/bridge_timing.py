@@ -21,16 +21,16 @@ class Timing:
         self._frames = Rate()
         self._last_command: int | None = None
 
-    def command_came(self, now: int, stamp_age: int | None) -> None:
-        """Note the time and age (None: no stamp) of a command, accepted or refused."""
+    def add_command(self, now: int, stamp_age: int | None) -> None:
+        """Add the time and age (None: no stamp) of a command, accepted or refused."""
         if self._last_command is not None:
             self._add('command_period', now - self._last_command, now)
         self._last_command = now
         if stamp_age is not None:
             self._add('stamp_age', stamp_age, now)
 
-    def sent(self, sent: Sent) -> None:
-        """Note the timings of a frame."""
+    def add_frame(self, sent: Sent) -> None:
+        """Add the timings of a frame."""
         self._add('write', sent.write, sent.stamp)
         self._frames.add(1, sent.stamp)
         if sent.latency is not None:

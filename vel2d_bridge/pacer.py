@@ -177,9 +177,9 @@ class Pacer:
             self._refused_since = None
             self._last_written_at = end
             self._frame_under_way = True
-            self._took(frame, begin, end)
+            self._count_frame(frame, begin, end)
 
-    def _took(self, frame: Frame, begin: int, end: int) -> None:
+    def _count_frame(self, frame: Frame, begin: int, end: int) -> None:
         self.gate.sent(end)
         self.frames += 1
         latency = None if frame.offered is None else end - frame.offered
