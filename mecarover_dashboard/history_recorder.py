@@ -55,7 +55,7 @@ _Batch = tuple[list[Window], list[Event]]
 
 
 @dataclass(slots=True)
-class _Source:
+class _SourceLog:
     """What was seen of a source last; what there is to keep goes into `windows` and `events`."""
 
     windows: list[Window]
@@ -174,7 +174,7 @@ class HistorySampler:
     """Looks at a State again and again; `take_batch` gives what there is to keep since then."""
 
     def __init__(self, errors_until: dict[str, float] | None = None) -> None:
-        self._sources: dict[str, _Source] = {}
+        self._sources: dict[str, _SourceLog] = {}
         self._done: list[Window] = []
         self._events: list[Event] = []
         self._until = dict(errors_until or {})      # for each bus Unix s of its last error
@@ -211,10 +211,10 @@ class HistorySampler:
                 if kind == 'buses':
                     source.add_errors(row, unix_s - now_s, lost.get(place, set()))
 
-    def _source(self, subject: Subject) -> _Source:
+    def _source(self, subject: Subject) -> _SourceLog:
         source = self._sources.get(subject.name)
         if source is None:
-            source = self._sources[subject.name] = _Source(
+            source = self._sources[subject.name] = _SourceLog(
                 self._done, self._events, self._until.get(subject.name, 0.0), subject)
         source.subject = subject
         return source
