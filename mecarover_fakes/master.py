@@ -15,7 +15,7 @@ from random import Random
 
 from mecarover_fakes.fault import Fault
 from mecarover_fakes.fault import FaultScope
-from mecarover_fakes.fault import Pace
+from mecarover_fakes.fault import MasterTiming
 from mecarover_fakes.fault import S
 from mecarover_fakes.faults import Faults
 from mecarover_fakes.ground_truth import GroundTruth
@@ -55,7 +55,7 @@ class Master:
         self.pattern = pattern
         self._started = started
         self._fleet = Fleet(line, self._clock)
-        self._pace = Pace(round(S / rate) if rate else 0, gap, patience)
+        self._pace = MasterTiming(round(S / rate) if rate else 0, gap, patience)
         self._rng = Random(seed)
         self._faults = Faults(list(faults), FaultScope(line, self._fleet, self._pace, self._rng))
         self._backlog: list[Exchange] = []
