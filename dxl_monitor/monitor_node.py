@@ -25,9 +25,9 @@ from dxl_monitor.monitor_settings import PARAMETERS
 from dxl_monitor.timers import Timers
 from mecarover_serial.process import resident_memory_mb
 from mecarover_serial.ros_node import declare
+from mecarover_serial.ros_node import GraphCheck
 from mecarover_serial.ros_node import overridable_publisher
 from mecarover_serial.ros_node import Stoppable
-from mecarover_serial.ros_node import Surroundings
 from mecarover_serial.ros_node import warn_of_overrides
 from msg_defs.crc import CRC_IS_FAST
 from msg_defs.crc import SLOW_CRC_WARNING
@@ -59,7 +59,7 @@ APART_NS = 200_000_000      # ... and at least so long after the one before
 AGAIN_NS = 50_000_000       # until it is looked again whether that is over; at the start too
 
 
-Heard = tuple[MonitoredBus, BusReport, PortState]
+Reported = tuple[MonitoredBus, BusReport, PortState]
 
 
 class JointStates:
@@ -85,8 +85,9 @@ class MonitorNode(Stoppable):
 
     | attributes | who writes them |
     |---|---|
-    | _waiting, _alarms, _reported, _said | _tick(), _look(): the thread of the timers |
-    | _levels, _overview_s, _port_words | _tell() in that thread |
+    | _waiting, _alarms, _reported | _tick(), _report_alarms(): the thread of the timers |
+    | _known_complaints | _make_reports() in that thread |
+    | _levels, _overview_s, _port_words | _publish_reports() in that thread |
     | _is_stopped | stop() |
     | all others | set once |
     """
@@ -102,8 +103,8 @@ class MonitorNode(Stoppable):
         self._recorders = make_recorders(values)
         self._buses = [MonitoredBus(bus, models, self._recorders, values['joint_state_rate'])
                            for bus in found]
-        self._surroundings = Surroundings(self.node)
-        self._said: set[str] = set()
+        self._graph_check = GraphCheck(self.node)
+        self._known_complaints: set[str] = set()
         self._port_words: dict[str, str] = {}
         self._bus_logs = [BusLog(one.bus.label) for one in self._buses]
         self._levels: list[int] = []
@@ -124,7 +125,7 @@ class MonitorNode(Stoppable):
         self._timers = Timers()
         self._timer = self._timers.add(1e-9 * AGAIN_NS, self._tick)
         self._joint_states = self._start_joint_states(values['joint_state_rate'])
-        self._timers.add(LOOK_S, self._look)
+        self._timers.add(LOOK_S, self._report_alarms)
         self.node.create_timer(CHECK_S, self._timers.check,
                                clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._is_stopped = False
@@ -142,7 +143,7 @@ class MonitorNode(Stoppable):
             for one in self._buses:
                 one.listener.stop()
             self._recorders.stop()
-            self._tell_recorders()
+            self._log_recorders()
 
     def is_working(self) -> bool:
         """Tell whether reports are made and every port is listened to, or waited for."""
@@ -174,20 +175,20 @@ class MonitorNode(Stoppable):
         """Publish a slice of the report; make a new report when there is none left."""
         if self._is_stopped:            # closed ports are as they should be now
             return
-        heard: list[Heard] = []
+        reports: list[Reported] = []
         if not self._waiting:
             now = time.monotonic_ns()
             if self._is_early(now) or self._is_late(now):
                 self._timer.period_s = 1e-9 * AGAIN_NS
                 return
-            heard = self._hear(now)
-            self._waiting.extend(slices(self._statuses(heard, True)))
+            reports = self._make_reports(now)
+            self._waiting.extend(slices(self._statuses(reports, True)))
             self._timer.period_s = self._period_s / max(1, len(self._waiting))
         if self._waiting:
             self._tables.publish(self._table_arrays.array(self._waiting.popleft(), self._stamp()))
-        if heard:
-            self._tell(heard)
-            self._tell_recorders()
+        if reports:
+            self._publish_reports(reports)
+            self._log_recorders()
 
     def _is_early(self, now: int) -> bool:
         """
@@ -203,55 +204,55 @@ class MonitorNode(Stoppable):
         late = [one.is_late(now) for one in self._buses]     # each: it notes since when
         return any(late)
 
-    def _look(self) -> None:
+    def _report_alarms(self) -> None:
         """Tell at once what cannot wait: a device was lost, came back or has an alert."""
         now = time.monotonic_ns()
         if (self._count_alarms() != self._alarms and now - self._reported > APART_NS
                 and not self._is_stopped and not self._is_late(now)):
-            self._tell(self._hear(now))
+            self._publish_reports(self._make_reports(now))
 
     def _count_alarms(self) -> int:
         return sum(one.monitor.alarms() for one in self._buses)
 
-    def _hear(self, now: int) -> list[Heard]:
+    def _make_reports(self, now: int) -> list[Reported]:
         self._alarms, self._reported = self._count_alarms(), now
-        around = self._surroundings.complaints()
-        for line in set(around) - self._said:
+        complaints = self._graph_check.complaints()
+        for line in set(complaints) - self._known_complaints:
             self._log.warning(line)
-        self._said = set(around)
+        self._known_complaints = set(complaints)
         reports = [(one, one.report(now)) for one in self._buses]
         if self._recorders.flight is not None:
             for one, report in reports:
                 self._recorders.flight.look(one.bus.name, report)
-            self._tell_recorders()
-        return [(one, report, one.port_state(around)) for one, report in reports]
+            self._log_recorders()
+        return [(one, report, one.port_state(complaints)) for one, report in reports]
 
-    def _tell(self, heard: list[Heard]) -> None:
+    def _publish_reports(self, reports: list[Reported]) -> None:
         """
         Publish the overview when it is time or a level changed, and timing when it is time.
 
         Logging comes last: the first line of a process takes rclpy 30 ms.
         """
-        levels = [level for _, report, port in heard for level in (
+        levels = [level for _, report, port in reports for level in (
             bool(port.problem), bool(port.warning), report.level,
             *(device.level for device in report.devices))]
         now_s = time.monotonic()
         is_time = now_s - self._overview_s >= OVERVIEW_S - self._period_s / 2
         if is_time or levels != self._levels:
             self._levels = levels
-            self._publish(self._overview, self._overview_arrays, self._statuses(heard, False))
+            self._publish(self._overview, self._overview_arrays, self._statuses(reports, False))
         if is_time:
             self._overview_s = now_s
-            self._publish_timing([report for _, report, _ in heard])
-        for log, (one, report, port) in zip(self._bus_logs, heard, strict=True):
-            self._tell_port(one.listener.state.text, port)
+            self._publish_timing([report for _, report, _ in reports])
+        for log, (one, report, port) in zip(self._bus_logs, reports, strict=True):
+            self._log_port(one.listener.state.text, port)
             if not port.problem:
                 for line in log.lines(report):
                     self._log.warning(line)
 
-    def _statuses(self, heard: list[Heard], whole: bool) -> list[Status]:
+    def _statuses(self, reports: list[Reported], whole: bool) -> list[Status]:
         node = full_name(self.node)
-        return [status for one, report, port in heard
+        return [status for one, report, port in reports
                 for status in statuses_of(node, one.bus.label, report, port, whole)]
 
     def _publish(self, publisher: Any, arrays: DiagnosticArrays, statuses: list[Status]) -> None:
@@ -268,7 +269,7 @@ class MonitorNode(Stoppable):
             metrics += device_metrics(report)
         self._timing.publish(metrics, self.node.get_clock().now().nanoseconds)
 
-    def _tell_port(self, words: str, port: PortState) -> None:
+    def _log_port(self, words: str, port: PortState) -> None:
         """Log what happens to a port, once per change."""
         if self._port_words.get(port.port) != words:
             self._port_words[port.port] = words
@@ -277,7 +278,7 @@ class MonitorNode(Stoppable):
             else:
                 self._log.info(words)
 
-    def _tell_recorders(self) -> None:
+    def _log_recorders(self) -> None:
         """Log what becomes of the recordings, once per change."""
         for words, is_problem in self._recorders.news():
             if is_problem:              # two lines, as above

@@ -10,19 +10,20 @@ due, which takes more CPU than most of these calls.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 import threading
 import time
 
 END_S = 1.0                      # for how long a call that has begun is waited for
 
 
+@dataclass
 class Timer:
     """A call and how often it comes; the call may change `period_s`, from its end on."""
 
-    def __init__(self, period_s: float, call: Callable[[], object], due: float) -> None:
-        self.period_s = period_s
-        self.call = call
-        self.due = due
+    period_s: float
+    call: Callable[[], object]
+    due: float                         # monotonic s
 
     def turn(self, now: float) -> None:
         """Call."""

@@ -79,10 +79,8 @@ class Client:
         return changed | {'name': self.watch} if changed else {}
 
     async def send(self, version: str, text: str) -> None:
-        await self._write(f'id: {version}\ndata: {text}\n\n')
-
-    async def _write(self, text: str) -> None:
-        data = text.encode(errors='replace')   # half a character pair may be in it
+        event = f'id: {version}\ndata: {text}\n\n'
+        data = event.encode(errors='replace')  # half a character pair may be in it
         if self._zip is not None:
             data = self._zip.compress(data) + self._zip.flush(zlib.Z_SYNC_FLUSH)
         await self.response.write(data)

@@ -51,7 +51,7 @@ def _run(arguments: list[str]) -> int:
     server = serve.open_server(options, run.words, player, feed)
     if server is None:
         return COULD_NOT_RUN
-    feed.out = server.take
+    feed.out = server.queue_message
     if player is not None:
         player.restart = server.restart
     try:

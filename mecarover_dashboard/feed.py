@@ -91,8 +91,8 @@ class Feed:
         if not any(late):
             self.report(now)
 
-    def note(self, now: int) -> None:
-        """Have the buses judged at a stamp, for what is said of a recording at its end."""
+    def judge_buses(self, now: int) -> None:
+        """Have the buses judged at a stamp, for the conclusion of a recording at its end."""
         for bus, log in self._logs:
             log.take(bus.report(now))
 
@@ -148,13 +148,13 @@ class Feed:
                 for bus, log in self._logs if log.last is not None]
 
 
-def conclusion(said: Verdict) -> str:
+def conclusion(verdict: Verdict) -> str:
     """Return what dxl_doctor says of a run, in a line."""
-    if said.quiet:
-        return f'nothing was heard: {said.quiet[0]}'
-    if not said.wrong:
-        heard = '; '.join(f'{one.who} {one.what}' for one in said.heard[:NAMED])
+    if verdict.quiet:
+        return f'nothing was heard: {verdict.quiet[0]}'
+    if not verdict.wrong:
+        heard = '; '.join(f'{one.who} {one.what}' for one in verdict.heard[:NAMED])
         return f'no problem found; heard: {heard or "no device"}'
-    more = len(said.wrong) - 1
-    return (f'{said.wrong[0].who}: {said.wrong[0].message}'
+    more = len(verdict.wrong) - 1
+    return (f'{verdict.wrong[0].who}: {verdict.wrong[0].message}'
             + (f'; and {more} more: dxl_doctor shows all' if more else ''))

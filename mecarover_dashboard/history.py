@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from collections.abc import Iterator
 from contextlib import suppress
+import os
 from pathlib import Path
 import sqlite3
 from typing import NamedTuple
@@ -210,8 +211,11 @@ class HistoryReader:
     """Reads a history that another connection may write; made for one question."""
 
     def __init__(self, path: Path) -> None:
-        self._database = sqlite3.connect(f'{path.absolute().as_uri()}?mode=ro', uri=True,
-                                         check_same_thread=False)
+        # SQLite would make files beside one with a write-ahead log that it opens first.
+        is_alone = is_read_only(path) and not path.with_name(f'{path.name}-shm').exists()
+        self._database = sqlite3.connect(
+            f'{path.absolute().as_uri()}?mode=ro{"&immutable=1" * is_alone}', uri=True,
+            check_same_thread=False)
         self._database.text_factory = lambda text: printable(text.decode(errors='replace'))
         self._sources = {number: Subject(*rest) for number, *rest in self._database.execute(
             'SELECT id, name, kind, robot, unit FROM sources')}
@@ -292,6 +296,11 @@ def _stored(low: float | None, high: float | None) -> tuple[int, int]:
     if low is None or high is None or max(-low, high) > _FAR:
         return _UNKNOWN
     return round(1000 * low), round(1000 * high)
+
+
+def is_read_only(path: Path) -> bool:
+    """Tell whether there is a history that nothing can be added to: its folder is not writable."""
+    return os.access(path, os.R_OK) and not os.access(path.parent, os.W_OK)
 
 
 def set_aside(path: Path, now_s: float) -> Path:

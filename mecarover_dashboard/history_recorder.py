@@ -55,19 +55,23 @@ _Batch = tuple[list[Window], list[Event]]
 
 
 @dataclass(slots=True)
-class _LastSeen:
-    """What was seen of a source last."""
+class _SourceLog:
+    """What was seen of a source last; what there is to keep goes into `windows` and `events`."""
 
+    windows: list[Window]
+    events: list[Event]
+    error_until_s: float        # Unix s: its errors until then are recorded
+    subject: Subject
     arrived: float = -1.0
     state: tuple[int, str] | None = None
-    told: str = ''              # the text of its last state that was noted
-    findings: dict[str, bool] = field(default_factory=dict)     # rules; whether it was noted
+    logged_text: str = ''       # the text of its last state that was recorded
+    findings: dict[str, bool] = field(default_factory=dict)     # rules; whether it was recorded
     row: Row = field(default_factory=dict)
     window: Window | None = None
     is_new: bool = False        # the window is not written as it is now
     ran_s: float = 0.0          # for how long the monitor of this bus had been running
     errors: int = 0             # in this window
-    error_s: float | None = None    # monotonic s of the last one that was noted
+    error_s: float | None = None    # monotonic s of the last one that was recorded
 
     def is_restarted(self, bus: RowReport) -> bool:
         """Tell whether the monitor runs for much less time than before: it is another one."""
@@ -76,61 +80,144 @@ class _LastSeen:
         before, self.ran_s = self.ran_s, bus.arrived - bus.row['started']
         return self.ran_s < before / 2
 
+    def _add_event(self, at: float, kind: str, level: int, text: str) -> None:
+        self.events.append(Event(at, self.subject, kind, level, text))
+
+    def judge_part(self, part: RobotPart, row: Row | None, unix_s: float) -> None:
+        """Record what became of a bridge or a bus as a whole, unless a finding says it."""
+        now = part.level, part.problem
+        if not part.of_part or part.of_part in _texts(row):
+            now = Level.OK, ''
+        if now != (self.state or (Level.OK, '')):
+            text = part.text if now == (part.level, part.problem) \
+                else f'{part.live} of {part.total} devices answer'
+            self._add_event(unix_s, 'state', part.level, text)
+        self.state = now
+
+    def judge_row(self, row: Row, bus: Row | None, unix_s: float) -> None:
+        """Record what changed of a device or a bus; bus: that of a device."""
+        if row is self.row:
+            return
+        self.row = row
+        if self.subject.kind == 'devices':
+            self._judge_device(row, bus, unix_s)
+        elif self.subject.kind == 'buses':
+            self._judge_findings(row, None, unix_s)
+
+    def _judge_device(self, row: Row, bus: Row | None, unix_s: float) -> None:
+        """Record a change of level or state; what a finding says is recorded as that."""
+        now = level_of(row), row['state']
+        before = self.state or (Level.OK, now[1])
+        is_of_finding = row['message'] in _texts(row) and not is_lost(row)
+        if now != before and not (is_of_finding and now[1] == before[1]):
+            self._add_event(unix_s, 'state', now[0], row['message'])
+            self.state, self.logged_text = now, row['message']
+        self.state = self.state or before
+        if not is_lost(row):
+            self._judge_findings(row, bus, unix_s)
+
+    def _judge_findings(self, row: Row, bus: Row | None, unix_s: float) -> None:
+        found = {rule: (Level.ERROR if severity == 'error' else Level.WARN, text)
+                 for rule, text, severity in row['findings']}
+        # What another one accounts for is not reported any more, and not over either.
+        causes = set() if bus is None else {rule for rule, _, _ in bus['findings']}
+        is_explained = any(rule not in self.findings and severity != 'ok'
+                           for rule, _, severity in row['findings'])
+        for rule, (level, text) in found.items():
+            if rule not in self.findings:
+                self.findings[rule] = text != self.logged_text
+                if text != self.logged_text:
+                    self._add_event(unix_s, 'finding', level, f'{_words(rule)}: {text}')
+        for rule in self.findings.keys() - found.keys():
+            if self.findings.pop(rule) and not (is_explained or rule in causes):
+                self._add_event(unix_s, 'over', Level.OK, _words(rule))
+
+    def forget_findings(self, unix_s: float) -> None:
+        """Record that a new monitor, which has read nothing yet, does not clear what was found."""
+        for rule, is_recorded in self.findings.items():
+            if is_recorded:
+                self._add_event(unix_s, 'finding', Level.STALE, f'{_words(rule)}: not known since '
+                                'the monitor was started again')
+        self.findings.clear()
+
+    def add_values(self, level: int, values: tuple[float | None, ...], unix_s: float) -> None:
+        """Put what was reported into the window of this time."""
+        at = _window_at(unix_s)
+        old, is_written, self.is_new = self.window, not self.is_new, True
+        if old is None or old.at != at:
+            if old is not None and not is_written:
+                self.windows.append(old)
+            self.window, self.errors = Window(at, self.subject, level, values, values), 0
+            return
+        self.window = Window(
+            at, self.subject, max(old.level, level, key=SEVERITY.index),
+            tuple(_extremes(min, old.lows, values)), tuple(_extremes(max, old.highs, values)))
+
+    def add_errors(self, row: Row, offset_s: float, lost: set[str]) -> None:
+        """Record the errors that are new, the oldest first, but for those of lost devices."""
+        if self.error_s is None:
+            self.error_s = self.error_until_s - offset_s + rows.JITTER_S
+        new = [(at_s, text) for at_s, text in row['errors']
+               if at_s is not None and at_s > self.error_s]
+        for at_s, text in sorted(new):
+            self.error_s = at_s                 # the two clocks tremble: one judges
+            if text.partition(': ')[0] in lost:
+                continue
+            self.errors += 1
+            if self.errors == MOST_ERRORS:
+                text += f'; more errors in these {WINDOW_S} s are not listed'
+            if self.errors <= MOST_ERRORS:
+                self._add_event(at_s + offset_s, 'error', Level.ERROR, text)
+
 
 class HistorySampler:
-    """Looks at a State again and again; `taken` gives what there is to keep since then."""
+    """Looks at a State again and again; `take_batch` gives what there is to keep since then."""
 
     def __init__(self, errors_until: dict[str, float] | None = None) -> None:
-        self._seen: dict[str, _LastSeen] = {}
+        self._sources: dict[str, _SourceLog] = {}
         self._done: list[Window] = []
         self._events: list[Event] = []
         self._until = dict(errors_until or {})      # for each bus Unix s of its last error
         self._flushed_s = 0.0       # monotonic s
         self._flushed_at = 0        # the window that ran then
 
-    def look(self, state: State, now_s: float, unix_s: float) -> None:
-        """Take in what was reported since the last look."""
-        offset_s = unix_s - now_s
+    def sample_state(self, state: State, now_s: float, unix_s: float) -> None:
+        """Take in what was reported since the last time."""
         parts = {(part.node, part.bus): part for part in state.parts()}
         buses = list(state.reports('buses'))
-        own = {report.row_name: report.row for report in buses}
-        restarted = {(one.row['node'], one.row['bus']) for one in buses
-                     if self._last(one.row_name).is_restarted(one)}
+        rows_of = {report.row_name: report.row for report in buses}
         for part in parts.values():
-            self._judge_part(part, own.get(part.row_name), unix_s)
-        away: dict[tuple[str, str], set[str]] = {}
-        for one in state.reports('devices'):
-            if is_lost(one.row):
-                away.setdefault((one.row['node'], one.row['bus']), set()).add(
-                    f'{one.row["id"]:03}')
+            subject = Subject(part.row_name, 'bridge' if part.bus is None else 'buses', part.robot)
+            self._source(subject).judge_part(part, rows_of.get(part.row_name), unix_s)
+        restarted = {_place(report.row) for report in buses
+                     if self._source(_subject(report, 'buses')).is_restarted(report)}
+        lost: dict[tuple[str, str | None], set[str]] = {}
+        for report in state.reports('devices'):
+            if is_lost(report.row):
+                lost.setdefault(_place(report.row), set()).add(f'{report.row["id"]:03}')
         for kind in VALUES:
             for report in state.reports(kind):
-                row = report.row
-                last = self._last(report.row_name)
-                source = Subject(report.row_name, kind, row['robot'], report.values.unit)
-                part = parts[row['node'], row.get('bus')]
-                is_told = (kind == 'devices' and part.hides_devices) or not part.is_known
-                if (row['node'], row.get('bus')) in restarted:
-                    self._forget_findings(last, source, unix_s)
-                if row is not last.row and not is_told:
-                    last.row = row
-                    if kind == 'devices':
-                        self._judge_device(last, source, row, own.get(part.row_name), unix_s)
-                    elif kind == 'buses':
-                        self._judge_findings(last, source, row, None, unix_s)
-                if report.arrived == last.arrived:
+                row, place = report.row, _place(report.row)
+                source = self._source(_subject(report, kind))
+                if place in restarted:
+                    source.forget_findings(unix_s)
+                part = parts[place]
+                if part.is_known and not (kind == 'devices' and part.hides_devices):
+                    source.judge_row(row, rows_of.get(part.row_name), unix_s)
+                if report.arrived == source.arrived:
                     continue
-                last.arrived = report.arrived
-                self._add(last, source, report, state, unix_s)
+                source.arrived = report.arrived
+                source.add_values(row['level'], tuple(_values(kind, report, state)), unix_s)
                 if kind == 'buses':
-                    self._take_errors(last, source, row, offset_s,
-                                      away.get((row['node'], row['bus']), set()))
+                    source.add_errors(row, unix_s - now_s, lost.get(place, set()))
 
-    def _last(self, name: str) -> _LastSeen:
-        last = self._seen.get(name)
-        if last is None:
-            last = self._seen[name] = _LastSeen()
-        return last
+    def _source(self, subject: Subject) -> _SourceLog:
+        source = self._sources.get(subject.name)
+        if source is None:
+            source = self._sources[subject.name] = _SourceLog(
+                self._done, self._events, self._until.get(subject.name, 0.0), subject)
+        source.subject = subject
+        return source
 
     def is_due(self, now_s: float, unix_s: float) -> bool:
         """Tell whether to write now: windows have ended, or there are events."""
@@ -141,101 +228,26 @@ class HistorySampler:
         self._flushed_s, self._flushed_at = now_s, at
         return True
 
-    def taken(self, unix_s: float = math.inf) -> tuple[list[Window], list[Event]]:
+    def take_batch(self, unix_s: float = math.inf) -> _Batch:
         """Return what to write: windows that ended until then, and events."""
-        windows, events = self._done, self._events
-        self._done, self._events = [], []
-        for last in self._seen.values():
-            if last.is_new and last.window is not None and last.window.at + WINDOW_S <= unix_s:
-                windows.append(last.window)
-                last.is_new = False
+        windows, events = list(self._done), list(self._events)
+        self._done.clear()
+        self._events.clear()
+        for source in self._sources.values():
+            if source.is_new and source.window is not None \
+                    and source.window.at + WINDOW_S <= unix_s:
+                windows.append(source.window)
+                source.is_new = False
         return windows, events
 
-    def _add(self, last: _LastSeen, source: Subject, report: RowReport, state: State,
-             unix_s: float) -> None:
-        at = _window_at(unix_s)
-        values = tuple(_values(source.kind, report, state))
-        level = report.row['level']
-        old, is_written, last.is_new = last.window, not last.is_new, True
-        if old is None or old.at != at:
-            if old is not None and not is_written:
-                self._done.append(old)
-            last.window, last.errors = Window(at, source, level, values, values), 0
-            return
-        last.window = Window(
-            at, source, max(old.level, level, key=SEVERITY.index),
-            tuple(_extremes(min, old.lows, values)), tuple(_extremes(max, old.highs, values)))
 
-    def _judge_part(self, part: RobotPart, row: Row | None, unix_s: float) -> None:
-        """Note what became of a bridge or a bus as a whole; what a finding says is noted there."""
-        last, source = self._last(part.row_name), Subject(part.row_name, 'bridge', part.robot)
-        now = part.level, part.problem
-        if not part.of_part or part.of_part in _texts(row):
-            now = Level.OK, ''
-        if now != (last.state or (Level.OK, '')):
-            text = part.text if now == (part.level, part.problem) \
-                else f'{part.live} of {part.total} devices answer'
-            if part.bus is not None:
-                source = source._replace(kind='buses')
-            self._events.append(Event(unix_s, source, 'state', part.level, text))
-        last.state = now
+def _subject(report: RowReport, kind: str) -> Subject:
+    return Subject(report.row_name, kind, report.row['robot'], report.values.unit)
 
-    def _judge_device(self, last: _LastSeen, source: Subject, row: Row, bus: Row | None,
-                      unix_s: float) -> None:
-        """Note a change of level or state; what a finding says is noted as that."""
-        now = level_of(row), row['state']
-        before = last.state or (Level.OK, now[1])
-        is_of_finding = row['message'] in _texts(row) and not is_lost(row)
-        if now != before and not (is_of_finding and now[1] == before[1]):
-            self._events.append(Event(unix_s, source, 'state', now[0], row['message']))
-            last.state, last.told = now, row['message']
-        last.state = last.state or before
-        if not is_lost(row):
-            self._judge_findings(last, source, row, bus, unix_s)
 
-    def _judge_findings(self, last: _LastSeen, source: Subject, row: Row, bus: Row | None,
-                        unix_s: float) -> None:
-        found = {rule: (Level.ERROR if severity == 'error' else Level.WARN, text)
-                 for rule, text, severity in row['findings']}
-        # What another one accounts for is not reported any more, and not over either.
-        causes = set() if bus is None else {rule for rule, _, _ in bus['findings']}
-        is_explained = any(rule not in last.findings and severity != 'ok'
-                           for rule, _, severity in row['findings'])
-        for rule, (level, text) in found.items():
-            if rule not in last.findings:
-                last.findings[rule] = text != last.told
-                if text != last.told:
-                    self._events.append(
-                        Event(unix_s, source, 'finding', level, f'{_words(rule)}: {text}'))
-        for rule in last.findings.keys() - found.keys():
-            if last.findings.pop(rule) and not (is_explained or rule in causes):
-                self._events.append(Event(unix_s, source, 'over', Level.OK, _words(rule)))
-
-    def _forget_findings(self, last: _LastSeen, source: Subject, unix_s: float) -> None:
-        """Note that a new monitor, which has read nothing yet, does not clear what was found."""
-        self._events += [Event(unix_s, source, 'finding', Level.STALE,
-                               f'{_words(rule)}: not known since the monitor was started again')
-                         for rule, is_noted in last.findings.items() if is_noted]
-        last.findings.clear()
-
-    def _take_errors(self, last: _LastSeen, source: Subject, row: Row, offset_s: float,
-                     away: set[str]) -> None:
-        """Note the errors that are new, the oldest first, but for those of devices away."""
-        if last.error_s is None:
-            last.error_s = self._until.get(source.name, 0.0) - offset_s + rows.JITTER_S
-        new = [(at_s, text) for at_s, text in row['errors']
-               if at_s is not None and at_s > last.error_s]
-        for at_s, text in sorted(new):
-            last.error_s, at = at_s, at_s + offset_s      # the two clocks tremble: one judges
-            if text.partition(': ')[0] in away:
-                continue
-            last.errors += 1
-            if last.errors < MOST_ERRORS:
-                self._events.append(Event(at, source, 'error', Level.ERROR, text))
-            elif last.errors == MOST_ERRORS:
-                self._events.append(Event(at, source, 'error', Level.ERROR,
-                                          f'{text}; more errors in these {WINDOW_S} s are not '
-                                          'listed'))
+def _place(row: Row) -> tuple[str, str | None]:
+    """Return the node and the bus of a row."""
+    return row['node'], row.get('bus')
 
 
 def _window_at(unix_s: float) -> int:
@@ -284,6 +296,20 @@ def default_path() -> Path:
     return Path(state) / 'mecarover_serial' / NAME
 
 
+class ReadOnlyHistory:
+    """A history in a folder that one may only read: shown, and nothing is recorded."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.notice = self.problem = f'{path}: its folder may only be read, so nothing is recorded'
+
+    def sample_state(self, state: State, now_s: float, unix_s: float) -> None:
+        """Record nothing."""
+
+    def close(self) -> None:
+        """Have nothing open."""
+
+
 class HistoryRecorder:
     """Records a State until it is closed; `path` can be read meanwhile."""
 
@@ -294,7 +320,7 @@ class HistoryRecorder:
         self.problem = ''       # why nothing is written now
         try:
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            self._take_lock(path.with_name(f'{path.name}.lock'))
+            self._lock_file(path.with_name(f'{path.name}.lock'))
             self._writer = self._open()
         except (OSError, sqlite3.Error) as error:
             raise HistoryError(f'{path}: {_reason(error)}; give another file with --history '
@@ -304,7 +330,7 @@ class HistoryRecorder:
         self._thread = threading.Thread(target=self._run, name='history', daemon=True)
         self._thread.start()
 
-    def _take_lock(self, path: Path) -> None:
+    def _lock_file(self, path: Path) -> None:
         """Lock a file and leave what is in it; a link is not followed, it may lead anywhere."""
         flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
         try:
@@ -326,15 +352,15 @@ class HistoryRecorder:
                            f'to {aside.name}')
             return HistoryWriter(self.path)
 
-    def look(self, state: State, now_s: float, unix_s: float) -> None:
+    def sample_state(self, state: State, now_s: float, unix_s: float) -> None:
         """Take in what was reported; never waits."""
-        self._sampler.look(state, now_s, unix_s)
+        self._sampler.sample_state(state, now_s, unix_s)
         if self._sampler.is_due(now_s, unix_s):
             self._hand_over(unix_s)
 
     def _hand_over(self, unix_s: float = math.inf) -> None:
         try:
-            self._batches.put_nowait(self._sampler.taken(unix_s))
+            self._batches.put_nowait(self._sampler.take_batch(unix_s))
         except queue.Full:
             self.problem = f'{self.path}: the disk is too slow, so part of the history is lost'
 
@@ -365,6 +391,9 @@ class HistoryRecorder:
             self.problem = ''
         except sqlite3.Error as error:
             self.problem = f'{self.path}: {_reason(error)}; the history has a gap'
+
+
+History = HistoryRecorder | ReadOnlyHistory
 
 
 def _reason(error: BaseException) -> str:

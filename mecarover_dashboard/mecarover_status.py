@@ -39,18 +39,18 @@ def _run(arguments: list[str]) -> int:
         options.once = True                    # to play it is for a person
     options.source = [options.source]
     feed, state = Feed(), State()
-    feed.out = lambda topic, statuses: state.take(topic, statuses, time.monotonic())
+    feed.out = lambda topic, statuses: state.store_message(topic, statuses, time.monotonic())
     run = make_run(NAME, options, (), feed, at_once=options.once)
     display = terminal.Display(state, options.wait if options.once else None, options.all,
                                f'{run.words}: nothing heard; dxl_doctor says why')
     run.start()
     try:
-        run.play(lambda: display.look(time.monotonic()))
-        said = run.end()
+        run.play(lambda: display.show_state(time.monotonic()))
+        verdict = run.end()
     finally:
         display.close()
     if not options.once:
-        print(f'{NAME}: {conclusion(said)}', file=sys.stderr)
+        print(f'{NAME}: {conclusion(verdict)}', file=sys.stderr)
     return display.code
 
 

@@ -40,7 +40,7 @@ class RecordingRun(SourceRun):
     | attributes | who writes them |
     |---|---|
     | _wanted_s, _is_on | control(), from any thread; the thread that plays |
-    | _survey, events, length_s | _hear_all(), in its thread |
+    | _survey, events, length_s | _examine_all(), in its thread |
     | all others | the thread that plays |
     """
 
@@ -60,12 +60,12 @@ class RecordingRun(SourceRun):
 
     def start(self) -> None:
         if not self._at_once:
-            threading.Thread(target=self._hear_all, daemon=True).start()
+            threading.Thread(target=self._examine_all, daemon=True).start()
 
     def _open(self) -> File:
         return open_file(self.words, self._options.baud, self._options.adapter, tool=self._tool)
 
-    def _hear_all(self) -> None:
+    def _examine_all(self) -> None:
         heard = Examination(self._models, self._options.devices, self._options.protocol)
         source = self._open()
         for chunk in filter(None, source.chunks()):
@@ -95,7 +95,7 @@ class RecordingRun(SourceRun):
         self._file = self._open()
         self._chunks = filter(None, self._file.chunks())
         self._next = next(self._chunks, None)
-        self._now = self._noted = self._next.stamp if self._next else 0
+        self._now = self._judged_until = self._next.stamp if self._next else 0
 
     def _stamps(self) -> Iterator[int]:
         last_s = time.monotonic()
@@ -132,12 +132,12 @@ class RecordingRun(SourceRun):
         """Hear what there is up to a stamp, and report on it as often as dxl_doctor does."""
         while self._next is not None and self._next.stamp <= until:
             chunk = self._next
-            if chunk.stamp - self._noted > LONGEST_PAUSE_NS:
-                self._noted = chunk.stamp
-            while chunk.stamp - self._noted >= REPORT_NS:
-                self._noted += REPORT_NS
-                self._feed.note(self._noted)
-            self._take(chunk, self._file.wire(chunk.bus))
+            if chunk.stamp - self._judged_until > LONGEST_PAUSE_NS:
+                self._judged_until = chunk.stamp
+            while chunk.stamp - self._judged_until >= REPORT_NS:
+                self._judged_until += REPORT_NS
+                self._feed.judge_buses(self._judged_until)
+            self._feed_bus(chunk, self._file.wire(chunk.bus))
             self._now = chunk.stamp
             self._next = next(self._chunks, None)
             if self._next is None:

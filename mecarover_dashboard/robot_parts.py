@@ -87,7 +87,7 @@ class RobotPart(NamedTuple):
         """What differs when somebody who listens has to hear of it: no number that changes."""
         return f'{self.row_name} {self.ids} {re.sub(r"[0-9]+", "", self.text)}'
 
-    def said(self, now_s: float) -> str:
+    def sentence(self, now_s: float) -> str:
         """Return the sentence, with the time since the last report."""
         return self.text if self.since is None else \
             f'{self.text}; last report {now_s - self.since:.0f} s ago'

@@ -77,20 +77,15 @@ class RegisterTable(NamedTuple):
     fields: list[FieldRow]
 
 
-def split(status: AnyStatus) -> tuple[str, str]:
-    """Return the node and what it speaks of; ('', ...) where a name is of another kind."""
-    return split_name(status.name)
-
-
 def split_name(name: str) -> tuple[str, str]:
-    """Return the node in the name of a status, and the rest."""
+    """Return the node in the name of a status, '' where it is of another kind, and the rest."""
     node, colon, rest = name.partition(': ')
     return (node, rest) if colon else ('', name)
 
 
 def section(status: AnyStatus) -> str:
     """Return where a status belongs: devices, buses, bridge or timing; '' if it is not ours."""
-    _, rest = split(status)
+    _, rest = split_name(status.name)
     if rest.startswith('timing/'):
         return 'timing'
     names = {key for key, _ in status.pairs(3)}
@@ -105,7 +100,7 @@ def section(status: AnyStatus) -> str:
 
 def _bus_of(status: AnyStatus) -> str:
     """Return the bus of a device, '' where its node has only one."""
-    robot = namespace_of(split(status)[0])
+    robot = namespace_of(split_name(status.name)[0])
     return status.hardware_id.removeprefix(f'{robot}/').rpartition('/')[0]
 
 
@@ -117,7 +112,7 @@ def _own_name(status: AnyStatus, rest: str) -> str:
 
 def metric_of(status: AnyStatus) -> str:
     """Return what a timing status is about: a bus, [bus/]device, or '' (a node, its only bus)."""
-    return split(status)[1].removeprefix('timing/').rpartition('/')[0]
+    return split_name(status.name)[1].removeprefix('timing/').rpartition('/')[0]
 
 
 def is_device(of: str) -> bool:
@@ -127,7 +122,7 @@ def is_device(of: str) -> bool:
 
 def row(kind: str, status: AnyStatus) -> Row:
     """Return what the page knows of a status at all times (tables come on demand)."""
-    node, rest = split(status)
+    node, rest = split_name(status.name)
     level = status.level if status.level in _LEVELS else Level.STALE
     common = {'robot': namespace_of(node), 'node': node, 'level': int(level),
               'message': status.message}

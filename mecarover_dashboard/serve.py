@@ -14,9 +14,12 @@ import sys
 from typing import Any
 from typing import TYPE_CHECKING
 
+from mecarover_dashboard.history import is_read_only
 from mecarover_dashboard.history_recorder import default_path
+from mecarover_dashboard.history_recorder import History
 from mecarover_dashboard.history_recorder import HistoryError
 from mecarover_dashboard.history_recorder import HistoryRecorder
+from mecarover_dashboard.history_recorder import ReadOnlyHistory
 from mecarover_serial.node_command_line import no_ros
 from mecarover_serial.node_command_line import options_of_node
 from servobus.plain import plain_streams
@@ -47,12 +50,14 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run the dashboard; return the exit code."""
     options, arguments = options_of_node(make_parser(), args)
     try:
-        from mecarover_dashboard.topic_subscriber import Subscriber
+        from mecarover_dashboard.topic_subscriber import PageSubscriber
         from mecarover_serial.ros_node import run
     except ImportError as error:
         return no_ros(NAME, error)
     server = open_server(options)
-    return COULD_NOT_RUN if server is None else run(NAME, lambda: Subscriber(server), arguments)
+    if server is None:
+        return COULD_NOT_RUN
+    return run(NAME, lambda: PageSubscriber(server), arguments)
 
 
 def open_server(options: argparse.Namespace, source: str = '',
@@ -87,12 +92,14 @@ def open_server(options: argparse.Namespace, source: str = '',
     return Server(listener, about, is_open, recording, options.name, player, signals)
 
 
-def open_history(wanted: str | None) -> tuple[HistoryRecorder | None, str]:
+def open_history(wanted: str | None) -> tuple[History | None, str]:
     """Return what records the history; or None and why, which is said unless it is wanted."""
     if wanted == NONE:
         return None, NOT_WANTED
+    path = default_path() if wanted is None else Path(wanted)
+    recording: History
     try:
-        recording = HistoryRecorder(default_path() if wanted is None else Path(wanted))
+        recording = ReadOnlyHistory(path) if is_read_only(path) else HistoryRecorder(path)
     except HistoryError as error:
         print(f'{NAME}: no history: {printable(str(error))}', file=sys.stderr)
         return None, str(error)

@@ -66,7 +66,7 @@ class ReportedSignals:
         self._rings.pop((name, key), None)
         self._seen.pop((name, key), None)
 
-    def look(self, state: State) -> None:
+    def sample_state(self, state: State) -> None:
         """Take what was reported since."""
         for (name, key), ring in self._rings.items():
             arrived_s, seen_s = self._seen.get((name, key), (0.0, 0.0))

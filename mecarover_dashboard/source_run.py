@@ -76,12 +76,12 @@ class SourceRun:
     def start(self) -> None:
         """Begin to listen."""
 
-    def play(self, look: Callable[[], bool]) -> None:
-        """Hand on what comes until the end, or Ctrl-C, or look() says so, called all the time."""
+    def play(self, show: Callable[[], bool]) -> None:
+        """Hand on what comes until the end, or Ctrl-C, or show() says so, called all the time."""
         try:
             for now in self._stamps():
                 self._feed.turn(now)
-                if look():
+                if show():
                     break
         except KeyboardInterrupt:
             pass
@@ -90,7 +90,7 @@ class SourceRun:
         """Yield up to when all was handed on, a few times a second."""
         raise NotImplementedError
 
-    def _take(self, chunk: Chunk, wire: Wire) -> None:
+    def _feed_bus(self, chunk: Chunk, wire: Wire) -> None:
         bus = self._heard.get(chunk.bus)
         if bus is None:
             bus = self._heard[chunk.bus] = HeardBus(wire, self._models, self._options)
@@ -162,7 +162,7 @@ class ProgramRun(SourceRun):
                 self._known = max(self._known, time.monotonic_ns() - int(HOLD_S * S))
             else:
                 self._known = max(self._known, chunk.stamp)
-                self._take(chunk, self._program.wire(chunk.bus))
+                self._feed_bus(chunk, self._program.wire(chunk.bus))
             yield self._known
 
     def end(self) -> Verdict:
@@ -171,7 +171,7 @@ class ProgramRun(SourceRun):
         for name, bus in self._heard.items():
             bus.monitor.end(self._known, ending.failed, self._program.users.get(name, ()))
         self._feed.report(self._known)
-        said = self._verdict(
+        found = self._verdict(
             lambda: no_data.of_program(self._command, self._program.ports, ending))
         trouble = ending.trouble()
-        return said._replace(wrong=(*said.wrong, *([trouble] if trouble else [])))
+        return found._replace(wrong=(*found.wrong, *([trouble] if trouble else [])))

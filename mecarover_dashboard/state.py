@@ -99,7 +99,7 @@ class State:
         self._parts: tuple[int, list[RobotPart]] = -1, []      # and their version
         self.grown_s = 0.0                          # when the last new row came
 
-    def take(self, topic: str, message: Message, now_s: float) -> None:
+    def store_message(self, topic: str, message: Message, now_s: float) -> None:
         """Take a DiagnosticArray, serialised or as its statuses; no content makes this raise."""
         if len(message) > MOST_OF_MESSAGE:
             self.refused += 1
@@ -120,20 +120,20 @@ class State:
         for status in found if topic != OVERVIEW else filter(self._is_ours, found):
             section = rows.section(status)
             if section == 'timing' and self._is_of_device(status):
-                self._take_latency(status, now_s)
+                self._store_latency(status, now_s)
             elif section:
-                self._take_status(topic, section, status, now_s)
+                self._store_status(topic, section, status, now_s)
 
     def _is_ours(self, status: AnyStatus) -> bool:
         return not self.namespace or status.name.startswith(f'{self.namespace}/')
 
     def _is_of_device(self, status: AnyStatus) -> bool:
         of = rows.metric_of(status)
-        bus = f'{rows.split(status)[0]}: bus {of}'
+        bus = f'{rows.split_name(status.name)[0]}: bus {of}'
         return rows.is_device(of) and bus not in self._entries['buses']
 
-    def _take_latency(self, status: AnyStatus, now_s: float) -> None:
-        name = f'{rows.split(status)[0]}: {rows.metric_of(status)}'
+    def _store_latency(self, status: AnyStatus, now_s: float) -> None:
+        name = f'{rows.split_name(status.name)[0]}: {rows.metric_of(status)}'
         if name in self._entries['devices']:
             points = self._latencies.get(name)
             if points is None:
@@ -144,7 +144,7 @@ class State:
                 points = self._latencies[name] = deque(maxlen=HISTORY)
             points.append([round(now_s, 2), *rows.figures(status.pairs())])
 
-    def _take_status(self, topic: str, section: str, status: AnyStatus, now_s: float) -> None:
+    def _store_status(self, topic: str, section: str, status: AnyStatus, now_s: float) -> None:
         entry = self._entry(section, status)
         if entry is None:
             return

@@ -110,13 +110,13 @@ def _message(row: rows.Row, now_s: float) -> str:
 def _lines(state: State, now_s: float, every_device: bool | None) -> Iterator[StatusLine]:
     hiding = set()
     for part in state.parts():
-        yield StatusLine(part.level, part.robot, part.name, part.said(now_s))
+        yield StatusLine(part.level, part.robot, part.name, part.sentence(now_s))
         if part.hides_devices:
             hiding.add((part.node, part.bus))
     for report in () if every_device is None else state.reports('devices'):
         row, level = report.row, level_of(report.row)
-        is_told = level is Level.OK or (row['node'], row['bus']) in hiding
-        if every_device or not is_told:
+        is_shown_above = level is Level.OK or (row['node'], row['bus']) in hiding
+        if every_device or not is_shown_above:
             yield StatusLine(level, row['robot'], rows.split_name(report.row_name)[1],
                              _message(row, now_s))
 

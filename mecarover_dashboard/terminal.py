@@ -64,7 +64,7 @@ class Display:
         self._last: list[str] = []
         self.code = 0
 
-    def look(self, now_s: float) -> bool:
+    def show_state(self, now_s: float) -> bool:
         """Show what is due; return whether that was all."""
         if self._wait_s is not None:
             return self._once(now_s, self._wait_s)
@@ -142,7 +142,7 @@ def main(args: Sequence[str] | None = None) -> int:
     display = Display(state, options.wait if options.once else None, options.all,
                       least_s=LEAST_S)
     try:
-        return run(NAME, lambda: StatusSubscriber(state, display.look, not options.once),
+        return run(NAME, lambda: StatusSubscriber(state, display.show_state, not options.once),
                    arguments) or display.code
     finally:
         display.close()

@@ -8,9 +8,10 @@ which are looked for in the graph. At the root these are the robots of the whole
 """
 from __future__ import annotations
 
+from collections.abc import Callable
 from collections.abc import Sequence
 from functools import partial
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock
@@ -24,6 +25,9 @@ from mecarover_dashboard.state import OVERVIEW
 from mecarover_dashboard.state import TOPICS
 from mecarover_serial.ros_node import Stoppable
 
+if TYPE_CHECKING:
+    from mecarover_dashboard.web_server import Server
+
 _QOS = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=100,
                   reliability=ReliabilityPolicy.RELIABLE)
 _GRAPH_S = 2.0
@@ -31,43 +35,37 @@ _MOST_TOPICS = 200              # all robots together
 _TYPE = 'diagnostic_msgs/msg/DiagnosticArray'
 
 
-class Sink(Protocol):
-    """What takes messages: a web server, or what is like it."""
+class TopicSubscriber(Stoppable):
+    """
+    A node that hears some of TOPICS; made once, ended by `stop`.
 
-    def start(self, namespace: str) -> None: ...
+    `store(kind, message)` gets each message, serialised; `count(publishers)` how many nodes
+    publish each kind, every few seconds.
+    """
 
-    def take(self, topic: str, message: bytes) -> None: ...
-
-    def publishers(self, counts: dict[str, int]) -> None: ...
-
-    def stop(self) -> None: ...
-
-
-class Subscriber(Stoppable):
-    """A node that hears some of TOPICS; made once, ended by `stop`."""
-
-    def __init__(self, server: Sink, name: str = 'dxl_dashboard',
-                 topics: Sequence[str] = TOPICS) -> None:
+    def __init__(self, name: str, topics: Sequence[str], store: Callable[[str, bytes], None],
+                 count: Callable[[dict[str, int]], None] = lambda publishers: None) -> None:
         self.node = Node(name, start_parameter_services=topics is TOPICS)
-        self._server = server
         self._topics = topics
+        self._store = store
+        self._count = count
         self._kinds: dict[str, str] = {}        # kinds of the topics that are heard, by name
         for kind in topics:
             self._subscribe(self.node.resolve_topic_name(kind), kind)
-        self.node.create_timer(_GRAPH_S, self._look,
+        self.node.create_timer(_GRAPH_S, self._find_topics,
                                clock=Clock(clock_type=ClockType.STEADY_TIME))
-        server.start(self.node.get_namespace().strip('/'))
 
-    def stop(self) -> None:
-        """Stop serving."""
-        self._server.stop()
+    @property
+    def namespace(self) -> str:
+        """The robots below it are heard; '' for all."""
+        return str(self.node.get_namespace().strip('/'))
 
     def _subscribe(self, topic: str, kind: str) -> None:
         self._kinds[topic] = kind
         self.node.create_subscription(
-            DiagnosticArray, topic, partial(self._server.take, kind), _QOS, raw=True)
+            DiagnosticArray, topic, partial(self._store, kind), _QOS, raw=True)
 
-    def _look(self) -> None:
+    def _find_topics(self) -> None:
         """Hear robots that have come, and count who publishes."""
         below = self.node.get_namespace().rstrip('/') + '/'
         for topic, types in self.node.get_topic_names_and_types():
@@ -76,7 +74,20 @@ class Subscriber(Stoppable):
             if kind and topic.startswith(below) and topic not in self._kinds \
                     and _TYPE in types and len(self._kinds) < _MOST_TOPICS:
                 self._subscribe(topic, kind)
-        counts = dict.fromkeys(self._topics, 0)
+        publishers = dict.fromkeys(self._topics, 0)
         for topic, kind in self._kinds.items():
-            counts[kind] += self.node.count_publishers(topic)
-        self._server.publishers(counts)
+            publishers[kind] += self.node.count_publishers(topic)
+        self._count(publishers)
+
+
+class PageSubscriber(TopicSubscriber):
+    """The node dxl_dashboard: what it hears is served."""
+
+    def __init__(self, server: Server) -> None:
+        super().__init__('dxl_dashboard', TOPICS, server.queue_message, server.store_publishers)
+        self._server = server
+        server.start(self.namespace)
+
+    def stop(self) -> None:
+        """Stop serving."""
+        self._server.stop()

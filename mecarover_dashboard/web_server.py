@@ -33,7 +33,7 @@ from mecarover_dashboard.client import Client
 from mecarover_dashboard.client import json_text
 from mecarover_dashboard.connection_limit import ConnectionLimit
 from mecarover_dashboard.connection_limit import HEAD_S
-from mecarover_dashboard.history_recorder import HistoryRecorder
+from mecarover_dashboard.history_recorder import History
 from mecarover_dashboard.history_requests import HistoryRequests
 from mecarover_dashboard.rows import finite
 from mecarover_dashboard.signal_requests import ReportedSignals
@@ -81,7 +81,7 @@ def is_ours(host: str, names: frozenset[str], any_address: bool) -> bool:
         return name in names
 
 
-class _Mistakes(logging.Filter):
+class _ClientErrors(logging.Filter):
     """Keeps out of the log what clients do wrong, or leave half done: anybody could fill it."""
 
     def filter(self, record: logging.LogRecord) -> bool:
@@ -106,15 +106,15 @@ class Server:
 
     | attributes | who writes them |
     |---|---|
-    | _inbox, _inbox_bytes | take(), from any thread; the server's takes out |
-    | _publishers, _recording | publishers(), stop(): from any thread |
+    | _inbox, _inbox_bytes | queue_message(), from any thread; the server's takes out |
+    | _publishers, _recording | store_publishers(), stop(): from any thread |
     | _loop, _ended, _haste | the server's thread, when it begins |
     | _pushed, _texts, _watched, _scraped | the server's thread |
     | all others | set once |
     """
 
     def __init__(self, listener: socket.socket, facts: dict[str, Any], is_open: bool,
-                 recording: HistoryRecorder | None = None, name: str = '',
+                 recording: History | None = None, name: str = '',
                  player: RecordingPlayer | None = None,
                  signals: SignalSource | None = None) -> None:
         self._listener = listener
@@ -168,7 +168,7 @@ class Server:
             self._recording.close()
             self._recording = None
 
-    def take(self, topic: str, message: Message) -> None:
+    def queue_message(self, topic: str, message: Message) -> None:
         """Take a DiagnosticArray, serialised or not; it is looked at with the next push."""
         if len(message) > MOST_OF_MESSAGE:
             message = b''                       # counted as malformed, and takes no one's room
@@ -189,7 +189,7 @@ class Server:
             self._inbox_bytes = 0
             self._inbox.append((_RESTART, b'', 0.0))
 
-    def publishers(self, counts: dict[str, int]) -> None:
+    def store_publishers(self, counts: dict[str, int]) -> None:
         """Take how many publishers each topic has."""
         self._publishers = counts
 
@@ -202,7 +202,7 @@ class Server:
         self._ended, self._haste, self._pushed = (asyncio.Event() for _ in range(3))
         self._loop = asyncio.get_running_loop()
         logger = logging.getLogger('dxl_dashboard')
-        logger.addFilter(_Mistakes())
+        logger.addFilter(_ClientErrors())
         runner = web.AppRunner(self._app(), access_log=None, handle_signals=False,
                                shutdown_timeout=0.5, logger=logger,
                                keepalive_timeout=HEAD_S)       # for each later request too
@@ -266,25 +266,25 @@ class Server:
         """Take in what has come, and let the clients' tasks send what changed."""
         state, now_s = self._state, time.monotonic()
         before = state.version
-        while waiting := self._taken():
+        while waiting := self._next_message():
             if waiting[0] == _RESTART:
                 before, state = -1, State(state.namespace)
                 self._state, self._boot = state, secrets.token_hex(4)
                 self._facts['boot'] = self._boot
             else:
-                state.take(*waiting)
+                state.store_message(*waiting)
         state.expire(now_s)
         self._signals.forget(now_s)
-        self._reported.look(state)
+        self._reported.sample_state(state)
         if self._recording is not None:
-            self._recording.look(state, now_s, time.time())
+            self._recording.sample_state(state, now_s, time.time())
         if state.version != before:
             self._texts.clear()
             state.keep_tables(set(self._watched.values()))
             self._pushed.set()
             self._pushed = asyncio.Event()
 
-    def _taken(self) -> tuple[str, Message, float] | None:
+    def _next_message(self) -> tuple[str, Message, float] | None:
         """Take the oldest message out of the inbox."""
         with self._inbox_lock:
             if not self._inbox:

@@ -10,10 +10,8 @@ that the gap was missing; they are counted (`merged`) and spread over the time s
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import asdict
 import json
-import os
 import sys
 import time
 
@@ -24,12 +22,12 @@ from mecarover_fakes.guarded_receiver import GuardedReceiver
 from mecarover_fakes.receiver import BadCable
 from mecarover_fakes.receiver import Receiver
 from mecarover_fakes.receiver import SetPoint
+from mecarover_fakes.virtual_uart import VirtualUart
 from msg_defs.crc import Checksum
 from msg_defs.crc import crc32_mpeg2
 from msg_defs.crc import CRC_INPUTS
 from msg_defs.vel2d import FRAME_SIZE
 from servobus.port.pty import outlive
-from servobus.port.pty import Pty
 from servobus.port.readable import readable
 from servobus.tools.cli import run_tool
 from servobus.tools.command_line import number
@@ -52,7 +50,7 @@ class FakeMcu:
         self._clock = clock
         self._cable = cable or BadCable()
         self._talks = talks                          # says what it refuses, or how it is
-        self._pty: Pty | None = Pty(link)
+        self._uart = VirtualUart(link)
         self._read = clock()                         # up to when the line has been read
         self.receiver = (GuardedReceiver if watchdog else Receiver)(
             self._read, baud=baud, crc=crc)
@@ -60,37 +58,30 @@ class FakeMcu:
     @property
     def path(self) -> str:
         """What the host opens: the link if there is one."""
-        return self.link or (self._pty.path if self._pty else '')
+        return self.link or self._uart.path
 
     def pump(self, timeout_s: float) -> list[SetPoint]:
         """Wait for bytes, at most so long, and return the set-points taken until now."""
-        if self._pty is None:
-            time.sleep(timeout_s)
-        elif readable([self._pty.master], timeout_s):
-            self._receive(self._pty.master)
+        readable([self._uart.fd] * self._uart.is_plugged_in, timeout_s)
+        self._receive(self._uart.read(_READ_SIZE))
         self._read = self._clock()
         taken = self.receiver.advance(self._read)
-        text = self.receiver.says(self._read)
+        text = self.receiver.text_to_host(self._read)
         if self._talks and text:
-            with suppress(OSError):                  # no one reads, or the cable is out
-                self.say(text.encode())
+            self.send_text(text.encode())
         return taken
 
-    def say(self, text: bytes) -> None:
+    def send_text(self, text: bytes) -> None:
         """Send something to the host, as firmware does that logs to the same UART."""
-        if self._pty is not None:
-            os.write(self._pty.master, text)
+        self._uart.write(text)
 
     def vanish(self) -> None:
         """Be unplugged."""
-        if self._pty is not None:
-            self._pty.close()
-            self._pty = None
+        self._uart.plug(plugged_in=False)
 
     def come_back(self) -> None:
         """Be plugged in again, under the same link."""
-        if self._pty is None:
-            self._pty = Pty(self.link)
+        self._uart.plug(plugged_in=True)
 
     def close(self) -> None:
         self.vanish()
@@ -99,11 +90,7 @@ class FakeMcu:
         return asdict(self.receiver.totals) | {'merged': self.merged,
                                                'damaged': self._cable.damaged}
 
-    def _receive(self, master: int) -> None:
-        try:
-            chunk = os.read(master, _READ_SIZE)
-        except BlockingIOError:
-            return
+    def _receive(self, chunk: bytes) -> None:
         now = self._clock()
         frames = [chunk[at:at + FRAME_SIZE] for at in range(0, len(chunk), FRAME_SIZE)]
         self.merged += len(frames) > 1

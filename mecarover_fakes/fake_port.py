@@ -106,7 +106,7 @@ class FakeBus:
             self._sleep(IDLE_NS)
             for frame in framer.frames(self.outlet.read()):
                 if is_good(frame):
-                    yield from self.master.respond(Ask(*line.heard(frame)), self._now())
+                    yield from self.master.respond(Ask(*line.parse_frame(frame)), self._now())
 
     def _now(self) -> int:
         return self._clock() - self._origin
@@ -134,7 +134,7 @@ class FakeBus:
                 end = len(burst.data) if self._is_stopping else min(passed, len(burst.data))
                 if end > done:
                     due += burst.data[done:end]
-                    self._tell_usb(burst, done, end)
+                    self._mirror_on_usb(burst, done, end)
                     done = end
                 # A machine that is always late never has to wait: it hands over all the same.
                 if done < len(burst.data) or len(due) >= LATE_BYTES:
@@ -145,13 +145,13 @@ class FakeBus:
                 self._hand_over(due, burst)
         self._hand_over(due)
 
-    def _tell_usb(self, burst: Burst, done: int, end: int) -> None:
+    def _mirror_on_usb(self, burst: Burst, done: int, end: int) -> None:
         """Show a part of a burst on USB: a master hands over the whole of it, at once."""
         if self._usb is None:
             return
-        if burst.said and not done:
-            self._usb.sent(b''.join(data for _, data in burst.said))
-        if burst.sender != MASTER or not burst.said:        # another master's is only heard
+        if burst.written and not done:
+            self._usb.sent(b''.join(data for _, data in burst.written))
+        if burst.sender != MASTER or not burst.written:        # another master's is only heard
             self._usb.received(burst.data[done:end])
 
     def _catch_up(self, due: int) -> int:

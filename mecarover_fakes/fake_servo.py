@@ -92,7 +92,7 @@ class FakeDevice(Registers):
         words = field.enum if field is not None and field.enum else {}
         return {code: int(word) for code, word in words.items()}
 
-    def hears(self, baud: int, now: int) -> bool:
+    def is_listening(self, baud: int, now: int) -> bool:
         """Tell whether it takes part in the traffic of a bus at `baud`."""
         return not self.silent and self.baud == baud and now >= self.up_at
 
@@ -194,14 +194,14 @@ class FakeDevice(Registers):
         """Let the device follow what was written to its own settings."""
         if self.hardware_error and self._written('Torque Enable', address, end):
             self.set('Torque Enable', 0)             # shut down: it stays off until a start
-        self._take_address(address, end)
+        self._follow_address(address, end)
         goal = self._written('Goal Position', address, end)
         if goal is not None and self.motion is None and self.torque:
             self.rest_angle = goal.decode(self.bytes_in(goal)).number or 0.0
         if was_torque != self.torque:
             self.rest_angle = angle
 
-    def _take_address(self, address: int = 0, end: int = sys.maxsize) -> None:
+    def _follow_address(self, address: int = 0, end: int = sys.maxsize) -> None:
         """Follow ID and Baud Rate where they are in this range of registers."""
         if self._written('ID', address, end):
             self.id = self.get('ID')
@@ -251,7 +251,7 @@ class FakeDevice(Registers):
             self.set('ID', number)
         if params[0] == 0x02:
             self.set('Baud Rate', code)
-        self._take_address()
+        self._follow_address()
         self.restart(now)
         return Reply(OK)
 

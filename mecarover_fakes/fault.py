@@ -42,7 +42,7 @@ class Fault(NamedTuple):
 
 
 @dataclass
-class Tempo:
+class MasterTiming:
     """How the master keeps time; faults may change it (all ns)."""
 
     period: int                  # ns for a cycle; 0: the next at once
@@ -57,7 +57,7 @@ class FaultScope(NamedTuple):
 
     line: Line
     fleet: Fleet
-    pace: Tempo
+    pace: MasterTiming
     rng: Random
 
 

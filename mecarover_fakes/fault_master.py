@@ -67,8 +67,8 @@ class TwoMasters(Effect, cause=11):
         clash = any(burst.start < due + wire_ns(14, self.line.baud) and burst.end > due
                     for burst in exchange.bursts)
         exchange = self.line.exchange(self.device.id, Instruction.READ, words(0, 6), due,
-                                      heard=not clash)
-        exchange.bursts[0].said = ()         # by our master
+                                      is_understood=not clash)
+        exchange.bursts[0].written = ()         # by our master
         return exchange
 
 

@@ -32,11 +32,11 @@ class Damage(Effect):
 
     def damage(self, burst: Burst) -> None:
         if burst.data and self.concerns(burst.sender) and self.rng.random() < self.share:
-            data, is_repaired = self.heard(bytearray(burst.data))
+            data, is_repaired = self.damaged(bytearray(burst.data))
             burst.data = bytes(data)
             burst.intact &= is_repaired and self.line.dialect is None
 
-    def heard(self, data: bytearray) -> tuple[bytearray, bool]:
+    def damaged(self, data: bytearray) -> tuple[bytearray, bool]:
         """Return what arrives, and whether the framing repairs it: the first byte of a header."""
         return data, True
 
@@ -44,7 +44,7 @@ class Damage(Effect):
 class Flip(Damage, cause=17):
     """One bit of a byte arrives wrong."""
 
-    def heard(self, data: bytearray) -> tuple[bytearray, bool]:
+    def damaged(self, data: bytearray) -> tuple[bytearray, bool]:
         data[self.rng.randrange(len(data))] ^= 1 << self.rng.randrange(8)
         return data, data[1:4] == HEADER[1:] and data[0] != HEADER[0]
 
@@ -52,7 +52,7 @@ class Flip(Damage, cause=17):
 class Drop(Damage, cause=17):
     """A byte does not arrive."""
 
-    def heard(self, data: bytearray) -> tuple[bytearray, bool]:
+    def damaged(self, data: bytearray) -> tuple[bytearray, bool]:
         has_header, rest = data.startswith(HEADER), data[1:]
         del data[self.rng.randrange(len(data))]
         return data, has_header and data == rest         # either FF of a header may be lost
@@ -68,7 +68,7 @@ class Header(Damage, cause=10):
         if burst.sender >= 0 and burst.data.startswith(self.line.header):
             super().damage(burst)
 
-    def heard(self, data: bytearray) -> tuple[bytearray, bool]:
+    def damaged(self, data: bytearray) -> tuple[bytearray, bool]:
         count = self.rng.randint(1, self.longest)
         garbage = bytes(self.rng.choice((0x00, 0x80, 0xF8, 0xFE)) for _ in range(count))
         data[:count] = b'' if self.rng.random() < 0.5 else garbage

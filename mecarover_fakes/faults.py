@@ -9,7 +9,6 @@ device or all, as the fault's line says; without times: from the beginning, for 
 
 from __future__ import annotations
 
-import difflib
 import re
 
 from mecarover_fakes import fault_device
@@ -21,6 +20,7 @@ from mecarover_fakes.fault import Fault
 from mecarover_fakes.fault import FaultScope
 from mecarover_fakes.fault import Play
 from mecarover_fakes.fault import S
+from mecarover_serial.parameters import did_you_mean
 from servobus.errors import ParameterError
 
 MODULES = (fault_device, fault_master, fault_setup, fault_wire)      # what is in `kinds`
@@ -33,9 +33,7 @@ def parse(text: str) -> Fault:
     """Return the fault that a person wrote; raise ParameterError when it is none."""
     name = text.partition(':')[0]
     if name not in KINDS:
-        near = difflib.get_close_matches(name, KINDS, 1)
-        remedy = f'did you mean {near[0]}?' if near else f'there are: {", ".join(KINDS)}'
-        raise ParameterError(f'fault: there is no fault {name!r}; {remedy}')
+        raise ParameterError(f'fault: there is no fault {name!r}; {did_you_mean(name, KINDS)}')
     found = _FORM.fullmatch(text)
     if found is None:
         raise ParameterError(f'fault: {text!r} does not have the form NAME[:id[:at_s[:for_s]]]; '

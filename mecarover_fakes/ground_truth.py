@@ -61,12 +61,12 @@ class GroundTruth:
         self.statuses = 0            # frames, a combined one counts once
         self.damaged = 0             # bursts
 
-    def count(self, bursts: list[Burst]) -> None:
+    def count_bursts(self, bursts: list[Burst]) -> None:
         """Count the bytes on the line."""
         self.bytes += sum(len(burst.data) for burst in bursts)
         self.damaged += sum(not burst.intact for burst in bursts)
 
-    def take(self, exchange: Exchange) -> None:
+    def count_exchange(self, exchange: Exchange) -> None:
         """Count an exchange."""
         good = good_answers(exchange)
         self.statuses += len(good) if exchange.request.answers is not Answers.COMBINED \

@@ -38,7 +38,7 @@ class GuardedReceiver(Receiver):
         super().overrun()
         self._deaf = False
 
-    def says(self, now: int) -> str:
+    def text_to_host(self, now: int) -> str:
         """Return its report to the host, once a second and when its state changes."""
         state, stamp = self._reported
         if state == self.state and now - stamp < _REPORT:

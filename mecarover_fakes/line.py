@@ -44,10 +44,10 @@ class Burst:
     """
     Bytes that one sender puts on the line without a gap.
 
-    said: what the master wrote for it, with the time of each; nothing on the wire changes that.
+    written: what the master wrote for it, with the time of each; nothing on the wire changes that.
     """
 
-    __slots__ = ('data', 'end', 'intact', 'said', 'sender', 'start')
+    __slots__ = ('data', 'end', 'intact', 'sender', 'start', 'written')
 
     def __init__(self, start: int, data: bytes, sender: int, baud: int, *,
                  intact: bool = True) -> None:
@@ -56,7 +56,7 @@ class Burst:
         self.sender = sender
         self.end = start + wire_ns(len(data), baud)
         self.intact = intact
-        self.said = ((start, data),) * (sender == MASTER)
+        self.written = ((start, data),) * (sender == MASTER)
 
 
 class Answer(NamedTuple):
@@ -120,7 +120,7 @@ class Line:
         return next((device for device in self.chain if device.id == number), None)
 
     def exchange(self, number: int, instruction: int, params: bytes, start: int, *,
-                 stuffed: bool = True, heard: bool = True) -> Exchange:
+                 stuffed: bool = True, is_understood: bool = True) -> Exchange:
         """
         Put an instruction on the line at `start` and let the devices do and answer it.
 
@@ -130,7 +130,7 @@ class Line:
         asked = Burst(start, frame, MASTER, self.baud)
         request = self.understood(number, instruction, params)
         exchange = Exchange(request, params, [asked], self._due(request), [])
-        if heard:
+        if is_understood:
             self._watch(asked.end)
             self._answer(exchange, asked.end)
         return exchange
@@ -164,7 +164,7 @@ class Line:
         """Return what finds the instructions of a real master in its bytes."""
         return dxl1_packet.Dxl1Framer() if self.dialect else Framer()
 
-    def heard(self, frame: Frame) -> tuple[int, int, bytes, bool]:
+    def parse_frame(self, frame: Frame) -> tuple[int, int, bytes, bool]:
         """Return a frame's ID, instruction, parameters, and whether it was stuffed."""
         number, code, params, flaw = frame[3:]
         if self.dialect:
@@ -179,9 +179,9 @@ class Line:
                 device.watch(now - self._heard_at)
         self._heard_at = now
 
-    def _hearing(self, number: int, now: int) -> list[FakeDevice]:
+    def _listening(self, number: int, now: int) -> list[FakeDevice]:
         return [device for device in self.chain
-                if device.id == number and device.hears(self.baud, now)]
+                if device.id == number and device.is_listening(self.baud, now)]
 
     def _due(self, request: Request) -> tuple[int, ...]:
         """Return who must answer, Status Return Level considered; an unknown device must."""
@@ -207,11 +207,11 @@ class Line:
         elif request.answers is Answers.LISTED or request.instruction in _LISTED_WRITES:
             self._listed(exchange, now)
         elif request.id != BROADCAST:
-            self._obey(exchange, self._hearing(request.id, now), now)
+            self._obey(exchange, self._listening(request.id, now), now)
         elif request.instruction != Instruction.FACTORY_RESET or exchange.params != b'\xff':
             # The latter is ignored by firmware 42 and later.
             numbers = sorted({device.id for device in self.chain})
-            for devices in [self._hearing(number, now) for number in numbers]:
+            for devices in [self._listening(number, now) for number in numbers]:
                 now = self._obey(exchange, devices, now)
 
     def _obey(self, exchange: Exchange, devices: list[FakeDevice], now: int,
@@ -245,7 +245,7 @@ class Line:
 
     def _listed(self, exchange: Exchange, now: int) -> None:
         for access in exchange.request.accesses:
-            end = self._obey(exchange, self._hearing(access.id, now), now, access)
+            end = self._obey(exchange, self._listening(access.id, now), now, access)
             if end == now and access.data is None:
                 if self.waits_in_line:
                     return
@@ -258,7 +258,7 @@ class Line:
         status = bytearray(HEADER + bytes([BROADCAST, *length.to_bytes(2, 'little'), STATUS]))
         sent = 0
         for access in accesses:
-            device = next(iter(self._hearing(access.id, now)), None)
+            device = next(iter(self._listening(access.id, now)), None)
             if device is None or not device.has_fast_reads:
                 return
             reply = device.read(access.address, access.length, now)
@@ -297,7 +297,7 @@ def _clash(first: Burst, second: Burst, baud: int) -> Burst:
     for at, byte in enumerate(second.data, offset):
         both[at] = both[at] & byte if at < len(first.data) else byte
     clash = Burst(first.start, bytes(both), STRAY, baud, intact=False)
-    clash.said = first.said + second.said
+    clash.written = first.written + second.written
     return clash
 
 

@@ -15,8 +15,8 @@ from random import Random
 
 from mecarover_fakes.fault import Fault
 from mecarover_fakes.fault import FaultScope
+from mecarover_fakes.fault import MasterTiming
 from mecarover_fakes.fault import S
-from mecarover_fakes.fault import Tempo
 from mecarover_fakes.faults import Faults
 from mecarover_fakes.ground_truth import GroundTruth
 from mecarover_fakes.line import Burst
@@ -55,7 +55,7 @@ class Master:
         self.pattern = pattern
         self._started = started
         self._fleet = Fleet(line, self._clock)
-        self._pace = Tempo(round(S / rate) if rate else 0, gap, patience)
+        self._pace = MasterTiming(round(S / rate) if rate else 0, gap, patience)
         self._rng = Random(seed)
         self._faults = Faults(list(faults), FaultScope(line, self._fleet, self._pace, self._rng))
         self._backlog: list[Exchange] = []
@@ -182,9 +182,9 @@ class Master:
             for effect in self._faults.active:
                 if burst.start >= effect.fault.begin:
                     effect.damage(burst)
-        self.truth.count(bursts)
+        self.truth.count_bursts(bursts)
         done = [exchange for exchange in self._backlog if exchange.end <= self.now]
         for exchange in sorted(done, key=lambda one: one.bursts[0].start):
-            self.truth.take(exchange)
+            self.truth.count_exchange(exchange)
             self._backlog.remove(exchange)
         yield from bursts

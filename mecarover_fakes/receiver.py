@@ -127,7 +127,7 @@ class Receiver:
         self._deaf = True
         self._buffer = b''
 
-    def says(self, now: int) -> str:
+    def text_to_host(self, now: int) -> str:
         """Return what it sends to the host: as the firmware of the thesis, what it refuses."""
         words, self._words = self._words, ''
         return words

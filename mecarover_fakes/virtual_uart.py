@@ -81,12 +81,12 @@ class VirtualUart:
         except BlockingIOError:
             return 0
 
-    def read(self) -> bytes:
-        """Return what the other end wrote, b'' when nothing."""
+    def read(self, most: int = _READ_SIZE) -> bytes:
+        """Return what the other end wrote, at most so many bytes; b'' when nothing."""
         if not self.is_plugged_in:
             return b''
         try:
-            data = os.read(self.fd, _READ_SIZE)
+            data = os.read(self.fd, most)
         except OSError:              # nothing there, or the reader has just closed
             return b''
         self.received += len(data)

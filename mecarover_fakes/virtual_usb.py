@@ -37,13 +37,13 @@ class VirtualUsb:
 
     def sent(self, data: bytes) -> None:
         """Tell of bytes that the master wrote."""
-        self._tell(self._adapter.sent(data, time.time_ns()))
+        self._send_events(self._adapter.sent(data, time.time_ns()))
 
     def received(self, data: bytes) -> None:
         """Tell of bytes that came from the bus."""
-        self._tell(self._adapter.received(data, time.time_ns()))
+        self._send_events(self._adapter.received(data, time.time_ns()))
 
-    def _tell(self, events: bytes) -> None:
+    def _send_events(self, events: bytes) -> None:
         self._accept()
         for reader, pending in list(self._readers.items()):
             pending += events

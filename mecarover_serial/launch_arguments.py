@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-import difflib
 from itertools import pairwise
 import os
 from typing import NamedTuple
+
+from mecarover_serial.parameters import did_you_mean
 
 PACKAGE = 'mecarover_serial'
 _MARK = ':='
@@ -112,6 +113,4 @@ def refuse_unknown(file: str, names: Sequence[str], words: Sequence[str]) -> Non
             os.path.isfile(word) and os.path.samefile(word, file) for word in words):
         return
     for name in sorted(typed_names(words) - {*names}):
-        near = difflib.get_close_matches(name, names, 1)
-        remedy = f'did you mean {near[0]}?' if near else f'there are: {", ".join(names)}'
-        raise UnknownArgument(f'{base}: there is no argument {name}; {remedy}')
+        raise UnknownArgument(f'{base}: there is no argument {name}; {did_you_mean(name, names)}')

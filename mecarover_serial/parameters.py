@@ -8,6 +8,7 @@ anything once checks are off; so values are converted and checked here, without 
 """
 from __future__ import annotations
 
+from collections.abc import Collection
 from collections.abc import Sequence
 from contextlib import suppress
 import difflib
@@ -82,16 +83,16 @@ def convert(parameter: Parameter, raw: Any) -> Any:
     return values
 
 
+def did_you_mean(name: str, names: Collection[str]) -> str:
+    """Return the remedy for a name that is none of `names`: the nearest of them, or all."""
+    near = difflib.get_close_matches(name, names, 1)
+    return f'did you mean {near[0]}?' if near else f'there are: {", ".join(names)}'
+
+
 def unknown(names: Sequence[str], given: Sequence[str]) -> list[str]:
     """Return a line for each given name that is not a parameter, with the one probably meant."""
-    lines = []
-    for name in given:
-        if name in names or name in _OF_RCLPY:
-            continue
-        near = difflib.get_close_matches(name, names, 1)
-        remedy = f'did you mean {near[0]}?' if near else f'there are: {", ".join(names)}'
-        lines.append(f'{name}: no such parameter, ignored; {remedy}')
-    return lines
+    return [f'{name}: no such parameter, ignored; {did_you_mean(name, names)}'
+            for name in given if name not in (*names, *_OF_RCLPY)]
 
 
 def split_ros_args(arguments: Sequence[str]) -> tuple[list[str], list[str]]:

@@ -172,7 +172,7 @@ def _spin(app: Stoppable, signals: _Signals, clock: _SystemClock) -> None:
     executor = SingleThreadedExecutor()
     ended = threading.Event()
     systemd = Systemd()
-    mishaps = _Mishaps(app)
+    errors = _SpinErrors(app)
     try:
         signals.watch(app, partial(_end, executor, ended))
         executor.add_node(app.node)
@@ -183,7 +183,7 @@ def _spin(app: Stoppable, signals: _Signals, clock: _SystemClock) -> None:
         gc.freeze()             # imports and set-up stay: no garbage is to be looked for there
         # Not spin_until_future_complete: it keeps a callback for each message that ever came.
         while not ended.is_set() and rclpy.ok():
-            mishaps.spin_once(executor)
+            errors.spin_once(executor)
     finally:
         systemd.stopping()
         app.stop()
@@ -198,7 +198,7 @@ def _feed(systemd: Systemd, app: Stoppable) -> None:
         systemd.alive()
 
 
-class _Mishaps:
+class _SpinErrors:
     """
     What rclpy raises while it spins: at what others send, or because no memory is left.
 
@@ -209,7 +209,7 @@ class _Mishaps:
         self._node = app.node
         self._package = type(app).__module__.partition('.')[0]
         self._since = math.inf          # it has only raised
-        self._said: dict[str, float] = {}
+        self._last_logged: dict[str, float] = {}
 
     def spin_once(self, executor: SingleThreadedExecutor) -> None:
         """Make one call; raise what ends the node."""
@@ -236,8 +236,8 @@ class _Mishaps:
                     'what another node sent was thrown away: correct that node')
         self._since = min(self._since, now_s)
         self._unlock()
-        if now_s - self._said.get(place, -math.inf) >= SAY_AGAIN_S:
-            self._said[place] = now_s
+        if now_s - self._last_logged.get(place, -math.inf) >= SAY_AGAIN_S:
+            self._last_logged[place] = now_s
             with suppress(MemoryError):
                 self._node.get_logger().warning(printable(line))
         return now_s - self._since < USELESS_S
@@ -278,7 +278,7 @@ def warn_of_overrides(node: Node, endpoints: Sequence[str]) -> None:
         node.get_logger().warning(line)
 
 
-class Surroundings:
+class GraphCheck:
     """What is wrong around a node, by the graph: another one of its name, a clock that stopped."""
 
     def __init__(self, node: Node) -> None:
@@ -286,7 +286,7 @@ class Surroundings:
         self._began = time.monotonic_ns()
         self._namesakes = Namesakes(node.get_fully_qualified_name(), self._began)
 
-    def clock_stands(self) -> bool:
+    def lacks_clock(self) -> bool:
         """Whether the time of the node is 0 because no node publishes /clock."""
         return bool(self._node.get_clock().now().nanoseconds == 0)
 
@@ -294,7 +294,7 @@ class Surroundings:
         """Return a line for each."""
         now = time.monotonic_ns()
         lines = self._namesakes.complaints(self._node.get_node_names_and_namespaces(), now)
-        if self.clock_stands() and now - self._began > DISCOVERED_NS:
+        if self.lacks_clock() and now - self._began > DISCOVERED_NS:
             lines.append('use_sim_time: it is true and no node publishes /clock, so all stamps '
                          'are 0; start the simulation or ros2 bag play --clock, or set it false')
         return lines

@@ -36,14 +36,14 @@ class StandardStreams:
     """To be entered before ROS starts; leaving passes on what waits and takes 0.3 s at most."""
 
     def __init__(self, name: str) -> None:
-        self._ways: list[_Way] = []
+        self._relays: list[_StreamRelay] = []
         self._name = name
         self._ending: float | None = None
         self._wake = os.eventfd(0)
         self._thread = threading.Thread(target=self._run, name='relay', daemon=True)
 
     def __enter__(self) -> StandardStreams:
-        known: dict[tuple[int, int], _Way] = {}
+        known: dict[tuple[int, int], _StreamRelay] = {}
         for fd in (1, 2):
             with suppress(OSError):             # a descriptor that is closed
                 status = os.fstat(fd)
@@ -53,9 +53,9 @@ class StandardStreams:
                     os.environ.setdefault(_COLOUR, '1')     # rcutils sees a pipe from now on
                 file = status.st_dev, status.st_ino
                 if file not in known:           # one pipe where both are one: the order stays
-                    known[file] = _Way(fd, self._name)
-                known[file].take(fd)
-        self._ways = list(known.values())
+                    known[file] = _StreamRelay(fd, self._name)
+                known[file].redirect(fd)
+        self._relays = list(known.values())
         self._thread.start()
         return self
 
@@ -66,20 +66,20 @@ class StandardStreams:
         self._ending = time.monotonic() + _LAST_S
         os.eventfd_write(self._wake, 1)
         self._thread.join(2 * _LAST_S)
-        for way in self._ways:
-            way.give_back()
+        for relay in self._relays:
+            relay.give_back()
 
     def _run(self) -> None:
         while self._ending is None or (
-                time.monotonic() < self._ending and any(way.waits() for way in self._ways)):
+                time.monotonic() < self._ending and any(relay.waits() for relay in self._relays)):
             poll = select.poll()
             if self._ending is None:
                 poll.register(self._wake, select.POLLIN)
-            for way in self._ways:
-                way.register(poll)
+            for relay in self._relays:
+                relay.register(poll)
             for fd, _ in poll.poll(None if self._ending is None else _LOOK_MS):
-                for way in self._ways:
-                    way.ready(fd)
+                for relay in self._relays:
+                    relay.ready(fd)
 
 
 def _may_block(mode: int) -> bool:
@@ -87,7 +87,7 @@ def _may_block(mode: int) -> bool:
     return stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode) or stat.S_ISCHR(mode)
 
 
-class _Way:
+class _StreamRelay:
     """From a pipe to where stdout or stderr, or both, went."""
 
     def __init__(self, fd: int, name: str) -> None:
@@ -102,7 +102,7 @@ class _Way:
         self._lost = 0
         self._is_broken = False                 # its reader has gone
 
-    def take(self, fd: int) -> None:
+    def redirect(self, fd: int) -> None:
         os.dup2(self._pipe, fd)
         self._taken.append(fd)
         if fd == 2 and faulthandler.is_enabled():

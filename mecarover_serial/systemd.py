@@ -25,16 +25,16 @@ class Systemd:
         self.watchdog_s = self._watchdog_s(environment)
 
     def ready(self) -> None:
-        self._tell('READY=1')
+        self._notify('READY=1')
 
     def alive(self) -> None:
         """Feed the watchdog; at least twice per `watchdog_s`."""
-        self._tell('WATCHDOG=1')
+        self._notify('WATCHDOG=1')
 
     def stopping(self) -> None:
-        self._tell('STOPPING=1')
+        self._notify('STOPPING=1')
 
-    def _tell(self, state: str) -> None:
+    def _notify(self, state: str) -> None:
         if self._address:
             with suppress(OSError):
                 self._socket.sendto(state.encode(), self._address)

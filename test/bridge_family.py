@@ -54,7 +54,7 @@ ending = threading.Thread(target=sys.stdin.readline, daemon=True)
 ending.start()
 states = []
 while ending.is_alive():
-    link.offer(Vel2d({speed}, 0.0, 0.0))
+    link.offer_command(Vel2d({speed}, 0.0, 0.0))
     states += [link.state().deadman] * (states[-1:] != [link.state().deadman])
     time.sleep(0.01)
 link.close()

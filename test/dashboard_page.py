@@ -81,7 +81,7 @@ class Dashboard:
 
     def take(self, messages):
         for topic, message in messages:
-            self.server.take(topic, message)
+            self.server.queue_message(topic, message)
 
     def stop(self):
         self.server.stop()

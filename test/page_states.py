@@ -144,7 +144,7 @@ class Stage:
             self._dashboard.take(messages)
             for topic, message in 3 * messages:        # the gap before was none of theirs
                 if topic == OVERVIEW:
-                    self._terminal.take(topic, message, self._clock.now())
+                    self._terminal.store_message(topic, message, self._clock.now())
 
     def terminal(self):
         """Return the lines of mecarover_status."""

@@ -57,13 +57,13 @@ def record(writer, begin, seconds, lost_at, tell=lambda second: None):
     """Record so many seconds from a Unix time on, one message in each."""
     state, recorder = State(), HistorySampler(writer.errors_until())
     for second in range(seconds):
-        state.take(TABLES, second_of(second, lost_at), float(second))
+        state.store_message(TABLES, second_of(second, lost_at), float(second))
         state.expire(float(second))
-        recorder.look(state, float(second), begin + second)
+        recorder.sample_state(state, float(second), begin + second)
         if recorder.is_due(float(second), begin + second):
-            writer.write(*recorder.taken(begin + second))
+            writer.write(*recorder.take_batch(begin + second))
         tell(second)
-    writer.write(*recorder.taken())
+    writer.write(*recorder.take_batch())
 
 
 if __name__ == '__main__':

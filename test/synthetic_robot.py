@@ -216,7 +216,7 @@ class SyntheticRobot:
     def tell(self, state, time_s, at_s=None):
         """Let a state take the reports of one second; at_s: when they come, if it is another."""
         for topic, message in self.messages(time_s):
-            state.take(topic, message, time_s if at_s is None else at_s)
+            state.store_message(topic, message, time_s if at_s is None else at_s)
 
     def messages(self, time_s, all_topics=True):
         """Return (topic, bytes) of one second's reports, at most 20 statuses in each."""

@@ -209,13 +209,13 @@ def test_non_planar_parts_are_mentioned_once(ros, running, standing, cmd_vel):
 
 
 def test_what_the_mcu_says_goes_to_the_log(graph, running, standing):
-    standing.say(b'\x1b[32mpose loop 30 ms\x1b[0m\r\nbattery\t11.8 V\n')
+    standing.send_text(b'\x1b[32mpose loop 30 ms\x1b[0m\r\nbattery\t11.8 V\n')
     running.wait_for('INFO', 'MCU: pose loop 30 ms')
     running.wait_for('MCU: battery 11.8 V')
-    standing.say(b'line\n' * 500)
+    standing.send_text(b'line\n' * 500)
     running.wait_for('MCU: ... and', 'more lines')
     assert len(running.said('MCU: line')) <= 10
-    standing.say(b'\x00\xff\xfe\x80garbage\x07\n')
+    standing.send_text(b'\x00\xff\xfe\x80garbage\x07\n')
     running.wait_for('WARN', 'bytes that are not text; check baud')
     graph.wait_status(LINK, 'Garbage from MCU (B)=12', 'Lines from MCU=502')
     assert 'garbage' not in running.text
@@ -261,7 +261,7 @@ def slow(owner, name):
 
 def on_command(self, twist, *rest):
     # An angular.x of 1, 2, 3 blocks this callback, the diagnostics, the graph scan.
-    hooks = [None, '_on_command', '_report', 'look']
+    hooks = [None, '_on_command', '_report', 'follow_graph']
     asked.update(filter(None, [hooks[int(twist.angular.x)]]))
     twist.angular.x = 0.0
     return taken(self, twist, *rest)
@@ -269,7 +269,7 @@ def on_command(self, twist, *rest):
 slow(bridge_node.Bridge, '_on_command')
 taken, bridge_node.Bridge._on_command = bridge_node.Bridge._on_command, on_command
 slow(bridge_node.Bridge, '_report')
-slow(cmd_vel_subscriber.CmdVelSubscriber, 'look')
+slow(cmd_vel_subscriber.CmdVelSubscriber, 'follow_graph')
 sys.exit(main.main())
 """
 
@@ -278,7 +278,7 @@ def test_what_blocks_the_executor_delays_no_stop(ros, graph, tmp_path):
     with Mcu(str(tmp_path / 'mcu')).running() as mcu, \
             bridge(mcu, '-r', '__ns:=/slow', script=BLOCKING) as running:
         cmd_vel = graph.publisher('/slow/cmd_vel')
-        for number, name in enumerate(('_on_command', '_report', 'look'), start=1):
+        for number, name in enumerate(('_on_command', '_report', 'follow_graph'), start=1):
             drive(mcu, cmd_vel, ros.twist(0.3), Vel2d(0.3, 0.0, 0.0))
             message = ros.twist(0.3)
             message.angular.x = float(number)
@@ -291,7 +291,7 @@ def test_what_blocks_the_executor_delays_no_stop(ros, graph, tmp_path):
         drive(mcu, cmd_vel, ros.twist(0.3), Vel2d(0.3, 0.0, 0.0))
         message.angular.x = 3.0
         cmd_vel.publish(message)
-        wait(lambda: len(running.said('blocked: look')) == 2)
+        wait(lambda: len(running.said('blocked: follow_graph')) == 2)
         signalled = time.monotonic_ns()
         running.signal(signal.SIGINT)
         assert mcu.stopped_at(signalled) / 1e9 < 0.3 + LATE_S

@@ -227,11 +227,11 @@ class World:
         if self.now < self.frozen_until:
             self.waiting = velocity
         elif self.pacer is not None:
-            self.offer(velocity, self.chance.choice([0, 0, 0, 0, 0, 2 * SECOND]))
+            self.offer_command(velocity, self.chance.choice([0, 0, 0, 0, 0, 2 * SECOND]))
 
-    def offer(self, velocity, waited=0):
+    def offer_command(self, velocity, waited=0):
         acted, self.acted = self.acted, False
-        verdict = self.pacer.offer(velocity, self.now, waited=waited, acted=acted)
+        verdict = self.pacer.offer_command(velocity, self.now, waited=waited, acted=acted)
         if verdict is Outcome.ACCEPTED:
             self.accepted = self.now
             self.bound = self.bound_of(self.settings) + PROLONGED * (self.calm_at != NEVER)
@@ -296,7 +296,7 @@ class World:
             self.enable_at = self.now + 100 * MS
         waiting, self.waiting = self.waiting, None
         if waiting is not None and self.chance.random() < 0.5:
-            self.offer(waiting)
+            self.offer_command(waiting)
 
     def kill(self):
         """Kill -9; the next start comes after the deadman has left."""

@@ -18,9 +18,9 @@ from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 from servobus.port.port_error import PortError
 from servobus.port.port_error import Reason
-from vel2d_bridge.bridge_settings import doubts
 from vel2d_bridge.bridge_settings import PARAMETERS
-from vel2d_bridge.bridge_settings import taken_away
+from vel2d_bridge.bridge_settings import removed_limits
+from vel2d_bridge.bridge_settings import warnings
 from vel2d_bridge.bridge_status import Commands
 from vel2d_bridge.bridge_status import commands_status
 from vel2d_bridge.bridge_status import link_status
@@ -144,10 +144,10 @@ def test_every_refusal_has_a_remedy(verdict):
 def test_lines_of_the_mcu():
     mcu = McuLog()
     mcu.feed(b'pose \x1b[1;31mloop\x1b[0m\r\n\r\nbat')
-    assert mcu.take(SECOND) == ['pose loop']
+    assert mcu.take_lines(SECOND) == ['pose loop']
     mcu.feed(b'tery\t12 V\n')
-    assert mcu.take(SECOND + 1) == []                               # throttled
-    assert mcu.take(2 * SECOND) == ['battery 12 V']
+    assert mcu.take_lines(SECOND + 1) == []                               # throttled
+    assert mcu.take_lines(2 * SECOND) == ['battery 12 V']
     assert (mcu.lines, mcu.bytes, mcu.garbage_bytes) == (2, 37, 0)
 
 
@@ -155,18 +155,18 @@ def test_a_babbling_mcu():
     mcu = McuLog()
     for _ in range(100):
         mcu.feed(b'the same again\n' * 10)
-    lines = mcu.take(SECOND)
+    lines = mcu.take_lines(SECOND)
     assert lines[-1] == f'... and {1000 - len(lines) + 1} more lines'
     assert len(lines) < 10
-    assert mcu.take(2 * SECOND) == []
+    assert mcu.take_lines(2 * SECOND) == []
     mcu.feed(b'x' * 100_000)                                        # no end of line at all
-    assert all(len(line) <= 200 for line in mcu.take(3 * SECOND))
+    assert all(len(line) <= 200 for line in mcu.take_lines(3 * SECOND))
 
 
 def test_garbage_is_counted_and_not_printed():
     mcu = McuLog()
     mcu.feed(bytes(range(128, 256)) + b'\n' + b'\x00\x07bell\n' + b'good\n')
-    assert mcu.take(SECOND) == ['good']
+    assert mcu.take_lines(SECOND) == ['good']
     assert mcu.garbage_bytes == 134
     assert '134 bytes that are not text; check baud' in mcu.garbage(SECOND)
     assert mcu.garbage(2 * SECOND) == ''                            # nothing new
@@ -179,7 +179,7 @@ def test_what_the_mcu_refuses_is_counted_and_a_complaint():
     """As the firmware of the thesis says it, between other lines; for 10 s after the last one."""
     mcu = McuLog()
     mcu.feed(b'crc mismatch!\r\nboot\r\nCRC Mismatch!\r\ninsufficient bytes received\r\n')
-    assert mcu.take(SECOND) == ['boot']
+    assert mcu.take_lines(SECOND) == ['boot']
     crc, short = mcu.complaints(SECOND, 'words')
     assert 'crc_input' not in crc       # it refuses stops too
     assert 'no console' in short
@@ -203,7 +203,7 @@ def send(mcu, velocity, frames, at):
         mcu.receiver.feed(encode(velocity), at)
         mcu.receiver.advance(at + SECOND // 40)
         mcu.log.drives += velocity != STOP
-        mcu.log.feed(mcu.receiver.says(at + SECOND // 40).encode(), at)
+        mcu.log.feed(mcu.receiver.text_to_host(at + SECOND // 40).encode(), at)
     return at
 
 
@@ -274,7 +274,7 @@ def test_what_the_mcu_reports():
     assert mcu.complaints(39 * SECOND, 'words') == []               # it says nothing any more
     assert hear(40, '1: running, 70 good, 3 bad, 1 refused, 4 stops') == []
     assert hear(41, '1: waiting, 0 good, 0 bad, 0 refused, 0 stops') == []      # it restarted
-    assert mcu.take(SECOND) == []
+    assert mcu.take_lines(SECOND) == []
     assert hear(42, '2: running on') == ['the receiver of the MCU has version 2']
     assert len(mcu.report_values(0)) == 2                           # no figures
 
@@ -283,7 +283,7 @@ def test_what_the_mcu_reports():
 def test_what_is_no_report_is_logged_as_ever(text):
     mcu = McuLog()
     mcu.feed(f'vel2d receiver {text}\n'.encode())
-    assert mcu.take(SECOND) == [f'vel2d receiver {text}']
+    assert mcu.take_lines(SECOND) == [f'vel2d receiver {text}']
     assert not mcu.report_values(SECOND)
     assert mcu.complaints(SECOND, 'words') == []
 
@@ -300,8 +300,8 @@ def test_what_is_no_report_is_logged_as_ever(text):
 ])
 def test_what_is_possible_and_probably_not_meant_is_doubted(name, value, begin):
     values = {parameter.name: parameter.default for parameter in PARAMETERS}
-    assert doubts(values) == []
-    [line] = doubts({**values, name: value})
+    assert warnings(values) == []
+    [line] = warnings({**values, name: value})
     assert line.startswith(begin)
     assert '; set ' in line
 
@@ -310,9 +310,9 @@ def test_what_is_possible_and_probably_not_meant_is_doubted(name, value, begin):
 def test_the_timeout_that_is_advised_is_long_enough(rate):
     values = {parameter.name: parameter.default for parameter in PARAMETERS}
     values |= {'cmd_vel_timeout': 0.05, 'max_rate': float(rate)}
-    [line] = [line for line in doubts(values) if line.startswith('cmd_vel_timeout')]
+    [line] = [line for line in warnings(values) if line.startswith('cmd_vel_timeout')]
     values['cmd_vel_timeout'] = float(re.search(r'set cmd_vel_timeout to ([\d.]+) s', line)[1])
-    assert not [line for line in doubts(values) if line.startswith('cmd_vel_timeout')]
+    assert not [line for line in warnings(values) if line.startswith('cmd_vel_timeout')]
 
 
 @pytest.mark.parametrize('enabled', [True, False])
@@ -325,5 +325,5 @@ def test_a_stop_that_is_owed_is_an_error_whatever_else_is_so(enabled):
 
 def test_a_limit_that_is_taken_away_is_said():
     before = {'max_linear_x': 0.5, 'max_linear_y': 0.0, 'max_angular_z': 1.0, 'max_stamp_age': 0.0}
-    assert taken_away(before, before | {'max_linear_x': 0.0, 'max_angular_z': 0.5}) == [
+    assert removed_limits(before, before | {'max_linear_x': 0.0, 'max_angular_z': 0.5}) == [
         'max_linear_x: now 0, so there is no limit any more; it was 0.5']

@@ -852,7 +852,7 @@ def test_nothing_published_yet(open_page):
         see(page, '.empty', 'ros2 run mecarover_serial dxl_monitor')
         show(page, 'bridge')
         see(page, '.empty', 'vel2d_bridge')
-        dashboard.server.publishers({'dxl/diagnostics': 1, 'vel2d/timing': 1})
+        dashboard.server.store_publishers({'dxl/diagnostics': 1, 'vel2d/timing': 1})
         see(page, '.empty', '1 publisher of vel2d/timing, but no message yet')
         page.context.close()
 

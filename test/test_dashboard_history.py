@@ -1,6 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """The history of the dashboard: what is kept, for how long, and what a file survives."""
+from contextlib import suppress
 import json
 import os
 from pathlib import Path
@@ -8,6 +9,7 @@ import socket
 import sqlite3
 import subprocess
 import sys
+import tempfile
 import time
 from urllib.error import HTTPError
 from urllib.parse import urlencode
@@ -75,8 +77,8 @@ def looked_at(robot, seconds, recorder=None):
     recorder, state = recorder or HistorySampler(), State()
     for second in seconds:
         robot.tell(state, second)
-        recorder.look(state, second, NIGHT + second)
-    return recorder.taken()
+        recorder.sample_state(state, second, NIGHT + second)
+    return recorder.take_batch()
 
 
 def test_what_is_kept_of_a_window():
@@ -100,13 +102,13 @@ def test_a_window_is_written_once_and_an_event_soon():
         robot.lost = {7} if second >= 17 else set()
         if second < 300:
             robot.tell(state, 100.0 + second)
-        sampler.look(state, 100.0 + second, NIGHT + second)
+        sampler.sample_state(state, 100.0 + second, NIGHT + second)
         if sampler.is_due(100.0 + second, NIGHT + second):
-            windows, events = sampler.taken(NIGHT + second)
+            windows, events = sampler.take_batch(NIGHT + second)
             assert len(windows) in (0, 24 + 1 + 2)          # each source once
             batches.append((second, {one.at - NIGHT for one in windows}, len(events)))
     assert batches == [(0, set(), 0), (10, {0}, 0), (17, set(), 1), (20, {10}, 0), (300, {20}, 0)]
-    assert sampler.taken() == ([], [])
+    assert sampler.take_batch() == ([], [])
 
 
 class Watched:
@@ -120,9 +122,9 @@ class Watched:
         if robot:
             robot.tell(self._state, second)
         self._state.expire(second)
-        self._sampler.look(self._state, second, NIGHT + second)
+        self._sampler.sample_state(self._state, second, NIGHT + second)
         return [(event.kind, event.level, event.source.name.rpartition(': ')[2], event.text)
-                for event in self._sampler.taken()[1]]
+                for event in self._sampler.take_batch()[1]]
 
 
 def test_events():
@@ -235,8 +237,8 @@ def test_noise_does_not_fill_the_file():
     robot.tell(state, 100.0)
     row = next(state.reports('buses')).row
     row['errors'] = [(100.0 + at / 100, 'noise') for at in range(200)]
-    recorder.look(state, 102.0, NIGHT + 102.0)
-    errors = [event for event in recorder.taken()[1] if event.kind == 'error']
+    recorder.sample_state(state, 102.0, NIGHT + 102.0)
+    errors = [event for event in recorder.take_batch()[1] if event.kind == 'error']
     assert len(errors) == MOST_ERRORS
     assert errors[-1].text == 'noise; more errors in these 10 s are not listed'
 
@@ -281,8 +283,8 @@ def test_no_error_is_noted_twice_where_the_two_clocks_are_read_late():
     noted = []
     for second, late in ((100.0, 0.0), (100.1, 0.4), (100.15, -0.2), (100.2, 2.0)):
         robot.tell(state, 100.0, second)
-        recorder.look(state, second, NIGHT + second + late)
-        noted.append([event.text for event in recorder.taken()[1] if event.kind == 'error'])
+        recorder.sample_state(state, second, NIGHT + second + late)
+        noted.append([event.text for event in recorder.take_batch()[1] if event.kind == 'error'])
     assert noted[0] and noted[1:] == [[], [], []]
 
 
@@ -367,6 +369,38 @@ def test_a_place_that_cannot_be_written(tmp_path):
     (tmp_path / 'file').touch()
     with pytest.raises(HistoryError, match='file exists; give another file with --history'):
         HistoryRecorder(tmp_path / 'file' / 'history.sqlite')
+
+
+@pytest.fixture
+def read_only_path():
+    """Yield a history that other users may read, in a folder without write access."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / 'history.sqlite'
+        writer = HistoryWriter(path)
+        writer.write([], [Event(NIGHT, KNEE, 'state', 0, 'connected')])
+        writer.close()
+        os.chmod(folder, 0o555)
+        yield path
+        os.chmod(folder, 0o755)
+
+
+def test_in_a_folder_that_one_may_only_read_it_opens(read_only_path, capfd):
+    child = os.fork()
+    if child == 0:                      # root may write anywhere
+        with suppress(Exception):
+            if os.geteuid() == 0:
+                os.setuid(65534)
+            recording, without = open_history(str(read_only_path))
+            [event] = read(recording.path)[1]
+            recording.close()
+            os.write(1, f'{event.text}{without}'.encode())
+        os._exit(0)
+    os.waitpid(child, 0)
+    out, err = capfd.readouterr()
+    assert out == 'connected'
+    assert err == (f'dxl_dashboard: {read_only_path}: its folder may only be read, so nothing is '
+                   'recorded\n')
+    assert [name.name for name in read_only_path.parent.iterdir()] == ['history.sqlite']
 
 
 def test_where_it_is(monkeypatch, tmp_path):

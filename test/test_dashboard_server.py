@@ -232,7 +232,7 @@ def test_an_inbox_that_nobody_empties_is_bounded(dashboard):
     from mecarover_dashboard.web_server import INBOX
     dashboard.stop()
     for _ in range(2 * INBOX):
-        dashboard.server.take('/diagnostics', b'')
+        dashboard.server.queue_message('/diagnostics', b'')
     assert len(dashboard.server._inbox) == INBOX
 
 
@@ -240,15 +240,15 @@ def test_an_inbox_is_bounded_in_bytes_too(dashboard, monkeypatch):
     monkeypatch.setattr('mecarover_dashboard.web_server.INBOX_BYTES', 1000)
     dashboard.stop()
     for _ in range(20):
-        dashboard.server.take('/diagnostics', bytes(300))
+        dashboard.server.queue_message('/diagnostics', bytes(300))
     assert len(dashboard.server._inbox) == 3
 
 
 def test_a_message_beyond_all_bounds_takes_no_room_of_others(dashboard):
     from mecarover_dashboard.web_server import INBOX_BYTES
     dashboard.stop()
-    dashboard.server.take('/diagnostics', bytes(300))
-    dashboard.server.take('/diagnostics', bytes(INBOX_BYTES + 1))
+    dashboard.server.queue_message('/diagnostics', bytes(300))
+    dashboard.server.queue_message('/diagnostics', bytes(INBOX_BYTES + 1))
     assert [len(message) for _, message, _ in dashboard.server._inbox] == [300, 0]
 
 
@@ -413,9 +413,10 @@ def test_what_was_not_read_again_is_no_new_point():
     signals, rows = ReportedSignals(), [FieldRow(POSITION, '0.5', '', 9.0, 'r')]
     signals.signal('servo', POSITION, 0)
     for arrived_s in (10.0, 11.0):
-        signals.look(SimpleNamespace(fields_after=lambda name, after_s, at=arrived_s: (at, rows)))
+        signals.sample_state(SimpleNamespace(
+            fields_after=lambda name, after_s, at=arrived_s: (at, rows)))
     rows[0] = rows[0]._replace(seen=11.5)
-    signals.look(SimpleNamespace(fields_after=lambda name, after_s: (12.0, rows)))
+    signals.sample_state(SimpleNamespace(fields_after=lambda name, after_s: (12.0, rows)))
     assert list(struct.iter_unpack('<dd', signals._rings['servo', POSITION].after(0, 0.0).data)) \
         == [(9.0, 0.5), (11.5, 0.5)]
 
@@ -427,7 +428,8 @@ def test_a_goal_is_sampled_and_holds_while_it_is_not_written_again():
             (10.0, 9.99, '0.5'), (10.5, 10.49, '0.9'), (11.0, 10.5, '0.9'), (11.5, 10.48, '0.9'),
             (12.0, 11.9, '0.1')):
         rows = [FieldRow(POSITION, value, '', seen_s, 'w')]
-        signals.look(SimpleNamespace(fields_after=lambda *_, at=arrived_s, rows=rows: (at, rows)))
+        signals.sample_state(SimpleNamespace(
+            fields_after=lambda *_, at=arrived_s, rows=rows: (at, rows)))
     points = signals._rings['servo', POSITION].after(0, 0.0)
     assert not points.is_written                # what was written in between is not known
     assert list(struct.iter_unpack('<dd', points.data)) == [

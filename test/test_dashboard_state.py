@@ -42,7 +42,7 @@ def one_device(values=(), **fields):
 
 def take_one(status, topic=TABLES, state=None, now_s=1.0):
     state = State() if state is None else state
-    state.take(topic, serialise([status]), now_s)
+    state.store_message(topic, serialise([status]), now_s)
     return state
 
 
@@ -83,7 +83,7 @@ def test_robots_are_told_apart():
         told(robot, everything)
         for topic, message in robot.messages(100.0):
             if topic == '/diagnostics' or robot is robots[0]:
-                one.take(topic, message, 100.0)
+                one.store_message(topic, message, 100.0)
     found = everything.changes(0)
     assert {section: len(rows) for section, rows in found.items()} \
         == {'devices': 48, 'buses': 2, 'bridge': 4, 'timing': 28}
@@ -107,7 +107,7 @@ def test_statuses_of_others_are_none_of_ours():
               Status('no colon', Level.ERROR, '', '', []),
               Status('camera: bus', Level.OK, 'usb', '', [('Speed', '480')]),
               Status('camera: link', Level.OK, '', '', [])]
-    state.take('/diagnostics', serialise(others), 1.0)
+    state.store_message('/diagnostics', serialise(others), 1.0)
     assert state.changes(0) == {}
 
 
@@ -144,7 +144,7 @@ def test_a_problem_of_the_bus_does_not_hide_what_was_found_of_a_device(level, me
     hot = '82 \u00b0C, last read at 20:46:30'
     kind = [('Model', 'MX-106'), ('Firmware Version', '44')]
     state = State()
-    state.take(TABLES, serialise([
+    state.store_message(TABLES, serialise([
         Status('dxl_monitor: bus', level, message, '', [('Port', '/dev/ttyUSB0')]),
         Status('dxl_monitor: 003', Level.ERROR, 'disconnected', '3',
                [*kind, ('State', 'disconnected')]),
@@ -245,7 +245,7 @@ def test_what_is_kept_of_a_message_is_what_is_shown_of_it():
     """A row kept the whole message it came in, with all else that was in it."""
     state = State()
     filler = Status('x: other', Level.OK, 'z' * 100, '', [('a', 'b' * 1000)])
-    state.take(TABLES, serialise([filler] * 100 + [one_device([('a', 'b')])]), 1.0)
+    state.store_message(TABLES, serialise([filler] * 100 + [one_device([('a', 'b')])]), 1.0)
     [(name, _)] = state.changes(0)['devices'].items()
     assert len(state._entries['devices'][name].whole.data) < 200
     assert state.table(name).facts[-1] == ('a', 'b')
@@ -269,7 +269,7 @@ def test_messages_of_others_are_bounded_too():
     assert state.refused == 1
     take_one(one_device([('z' * MOST_OF_STATUS, '')]), state=state)
     assert state.refused == 2
-    state.take(TABLES, serialise([one_device(name=f'a: 011 {n}') for n in range(
+    state.store_message(TABLES, serialise([one_device(name=f'a: 011 {n}') for n in range(
         2 * cdr.STATUSES_LIMIT)]), 1.0)
     assert state.refused == 2 + cdr.STATUSES_LIMIT - MOST_ROWS
 
@@ -277,7 +277,7 @@ def test_messages_of_others_are_bounded_too():
 def test_a_crowd_that_has_left_makes_room():
     state = State()
     for at in range(0, MOST_ROWS, 100):
-        state.take('/diagnostics', serialise(
+        state.store_message('/diagnostics', serialise(
             [one_device(name=f'node{at + i}: 011') for i in range(100)]), 1.0)
     take_one(one_device(name='dxl_monitor: 012'), state=state, now_s=FORGET_S)
     assert state.refused == 1

@@ -48,7 +48,7 @@ while len(deadman.pids) < 2:
     time.sleep(0.01)
 print(*deadman.pids, flush=True)
 while not select.select([sys.stdin], [], [], 0.01)[0]:
-    link.offer(Vel2d(0.5, 0.0, 0.0))
+    link.offer_command(Vel2d(0.5, 0.0, 0.0))
 link.close()
 state = link.state()
 print(json.dumps({'freezes': state.freezes, 'deadman': state.deadman}), flush=True)
@@ -307,7 +307,7 @@ def test_a_driver_that_counts_whole_transfers_is_not_flushed_in_mid_frame(monkey
     watch._record = PortRecord(baud=1_000_000)         # else it waits for 300 s: 1 baud
     monkeypatch.setattr(watch, '_pending', lambda: next(counts))
     monkeypatch.setattr(watching.termios, 'tcflush', lambda *what: flushed.append(what))
-    watch._settle()
+    watch._await_idle_line()
     assert not flushed
 
 
@@ -318,6 +318,6 @@ def test_a_socket_whose_peer_confirms_nothing_gets_its_stops(monkeypatch):
         watch = Watch(SharedBoard(), None, None)
         watch._fd, watch._record = near.fileno(), PortRecord(stop=bytes(28), baud=1_000_000)
         monkeypatch.setattr(watch, '_pending', lambda: 28)
-        watch._act()
+        watch._write_stop()
         far.setblocking(False)
         assert far.recv(64) == bytes(28)

@@ -4,7 +4,7 @@
 
 import pytest
 
-from mecarover_fakes.demo.scenes import judge_books
+from mecarover_fakes.demo.scenes import judge_missed
 
 
 @pytest.mark.parametrize('missed, overrun, passed, text', [
@@ -14,7 +14,7 @@ from mecarover_fakes.demo.scenes import judge_books
     ({6: 0, 7: 9, 55: 3}, 0, False, '055: 3 counted, 0 simulated'),
 ])
 def test_missed_answers_are_those_of_the_fakes_books(missed, overrun, passed, text):
-    books = {'devices': {'6': {'missed': 0}, '7': {'missed': 10}},
+    truth = {'devices': {'6': {'missed': 0}, '7': {'missed': 10}},
              'totals': {'bus': {'overrun': overrun}}}
-    verdict = judge_books(missed, books)
+    verdict = judge_missed(missed, truth)
     assert (verdict.passed, verdict.text) == (passed, text)

@@ -127,8 +127,8 @@ def test_reboot_forgets_ram_keeps_eeprom_and_is_deaf_for_a_while():
     assert not device.torque
     assert device.image[20] == 7
     assert device.error_byte(0) == 0
-    assert not device.hears(BAUD, S + 1)
-    assert device.hears(BAUD, S + BOOT_NS)
+    assert not device.is_listening(BAUD, S + 1)
+    assert device.is_listening(BAUD, S + BOOT_NS)
 
 
 def test_latched_error_keeps_the_torque_off():

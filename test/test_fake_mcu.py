@@ -59,7 +59,7 @@ def test_pty_to_set_point():
     host = os.open(mcu.path, os.O_RDWR | os.O_NOCTTY)
     os.write(host, FRAME)
     until(mcu, lambda: mcu.receiver.wheels.x == 500.0)
-    mcu.say(b'hello')
+    mcu.send_text(b'hello')
     assert os.read(host, 9) == b'hello'
     os.close(host)
     mcu.close()

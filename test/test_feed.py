@@ -192,9 +192,9 @@ def test_what_is_handed_over_is_what_is_published():
     told, handed = State(), State()
     for topic, message in robot.messages():
         if topic != '/diagnostics':
-            told.take(topic, message, 1.0)
+            told.store_message(topic, message, 1.0)
     feed = Feed()
-    feed.out = lambda topic, statuses: handed.take(topic, statuses, 1.0)
+    feed.out = lambda topic, statuses: handed.store_message(topic, statuses, 1.0)
     feed.add(SimpleNamespace(
         monitor=SimpleNamespace(name='', alarms=lambda: 0), is_late=lambda now: False,
         report=lambda now: report, port_state=lambda: robot.port_state()))

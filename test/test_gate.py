@@ -44,7 +44,7 @@ def play(gate, begin, end, offers=()):
     now = begin
     while now <= end:
         while offers and offers[0][0] <= now:
-            gate.offer(offers.pop(0)[1], now)
+            gate.offer_command(offers.pop(0)[1], now)
         frame = gate.next_frame(now)
         if frame is not None:
             gate.sent(now)
@@ -85,7 +85,7 @@ def test_opening_begins_with_a_burst_and_goes_on_with_zeros():
 
 def test_nothing_is_written_while_the_port_is_closed():
     gate = Gate()
-    assert gate.offer(DRIVE, 0) is Outcome.NO_PORT
+    assert gate.offer_command(DRIVE, 0) is Outcome.NO_PORT
     assert gate.next_frame(0) is None
     assert gate.next_deadline(0) == NEVER
     gate.stop(0, Stop.DISABLED)
@@ -94,7 +94,7 @@ def test_nothing_is_written_while_the_port_is_closed():
 
 def test_command_goes_out_at_once_and_is_resent():
     gate, now = opened()
-    gate.offer(DRIVE, now)
+    gate.offer_command(DRIVE, now)
     frame = gate.next_frame(now)
     assert frame == (DRIVE, FrameKind.COMMAND, now)
     gate.sent(now)
@@ -141,10 +141,10 @@ def test_without_resending_the_burst_is_still_sent():
 ])
 def test_a_refused_command_leaves_the_deadline_alone(velocity, arguments, verdict):
     gate, now = opened(max_stamp_age=1.0)
-    gate.offer(DRIVE, now)
+    gate.offer_command(DRIVE, now)
     deadline = now + 500 * MS
     for stamp in range(now + MS, deadline, 100 * MS):
-        assert gate.offer(velocity, stamp, **arguments) is verdict
+        assert gate.offer_command(velocity, stamp, **arguments) is verdict
     assert gate.velocity == DRIVE
     assert gate.next_frame(deadline - 1).velocity == DRIVE
     gate.next_frame(deadline)
@@ -157,12 +157,12 @@ def test_a_refused_command_leaves_the_deadline_alone(velocity, arguments, verdic
     {'waited': 500 * MS}, {'stamp_age': 1000 * MS}, {'stamp_age': -1000 * MS}, {'stamp_age': 0}])
 def test_at_the_limit_is_accepted(arguments):
     gate, now = opened(max_stamp_age=1.0)
-    assert gate.offer(DRIVE, now, **arguments) is Outcome.ACCEPTED
+    assert gate.offer_command(DRIVE, now, **arguments) is Outcome.ACCEPTED
 
 
 def test_a_stamp_or_a_wait_is_no_matter_where_its_check_is_off():
     gate, now = opened(cmd_vel_timeout=0.0)
-    verdict = gate.offer(DRIVE, now, waited=3600 * SECOND, stamp_age=3600 * SECOND)
+    verdict = gate.offer_command(DRIVE, now, waited=3600 * SECOND, stamp_age=3600 * SECOND)
     assert verdict is Outcome.ACCEPTED
 
 
@@ -280,8 +280,8 @@ def test_rate_never_exceeds_what_the_baud_carries_with_a_gap():
 def test_a_command_ends_a_burst_but_never_skips_the_stop():
     gate, now = opened()
     gate.stop(now, Stop.TYPE_SWITCH)
-    gate.offer(STOP, now)                            # a zero command changes nothing
-    gate.offer(DRIVE, now)
+    gate.offer_command(STOP, now)                            # a zero command changes nothing
+    gate.offer_command(DRIVE, now)
     sent = play(gate, now, now + 100 * MS)
     assert [frame.kind for _, frame in sent][:2] == [FrameKind.STOP, FrameKind.COMMAND]
     assert sent[0][1] == (STOP, FrameKind.STOP, None)
@@ -300,35 +300,35 @@ def test_a_zero_command_while_driving_is_a_burst():
 
 def test_disabled_means_zeros_and_refusals():
     gate, now = opened()
-    gate.offer(DRIVE, now)
+    gate.offer_command(DRIVE, now)
     gate.enable(False, now)
-    assert gate.offer(DRIVE, now + MS) is Outcome.DISABLED
+    assert gate.offer_command(DRIVE, now + MS) is Outcome.DISABLED
     sent = play(gate, now, now + SECOND)
     assert_burst(stops_of(sent))
     assert all(frame.velocity == STOP for _, frame in sent)
     gate.enable(True, now + SECOND)
     assert not gate.driving
-    assert gate.offer(DRIVE, now + SECOND) is Outcome.ACCEPTED
+    assert gate.offer_command(DRIVE, now + SECOND) is Outcome.ACCEPTED
 
 
 def test_shutdown_refuses_from_then_on():
     gate, now = opened()
     gate.stop(now, Stop.SHUTDOWN)
-    assert gate.offer(DRIVE, now) is Outcome.SHUTDOWN
+    assert gate.offer_command(DRIVE, now) is Outcome.SHUTDOWN
     assert_burst(stops_of(play(gate, now, now + SECOND)))
 
 
 def test_after_a_freeze_what_waited_is_refused():
     gate, now = opened()
-    gate.offer(DRIVE, now)
+    gate.offer_command(DRIVE, now)
     gate.stop(now, Stop.FROZEN)
-    assert gate.offer(DRIVE, now + 199 * MS) is Outcome.FROZEN
-    assert gate.offer(DRIVE, now + 200 * MS) is Outcome.ACCEPTED
+    assert gate.offer_command(DRIVE, now + 199 * MS) is Outcome.FROZEN
+    assert gate.offer_command(DRIVE, now + 200 * MS) is Outcome.ACCEPTED
 
 
 def test_reopening_forgets_the_command():
     gate, now = opened()
-    gate.offer(DRIVE, now)
+    gate.offer_command(DRIVE, now)
     gate.closed()
     gate.opened(now + MS)
     sent = play(gate, now + MS, now + SECOND)
@@ -337,12 +337,12 @@ def test_reopening_forgets_the_command():
 
 def test_settings_change_while_driving():
     gate, now = opened()
-    gate.offer(DRIVE, now)
+    gate.offer_command(DRIVE, now)
     gate.settings = gate.settings._replace(cmd_vel_timeout=0.1)
     gate.next_frame(now + 100 * MS)
     assert gate.counters.time_outs == 1
     gate.settings = gate.settings._replace(max_linear_x=0.25)
-    gate.offer(DRIVE, now + 200 * MS)
+    gate.offer_command(DRIVE, now + 200 * MS)
     assert gate.velocity == Vel2d(0.25, -0.125, 0.5)
     assert gate.counters.limited == 1
 
@@ -402,7 +402,7 @@ def test_replaced_received_and_refused_add_up():
     for _ in range(2000):
         now += chance.randrange(60 * MS)
         velocity = Vel2d(chance.choice([0.1, math.nan]), 0.0, chance.random())
-        gate.offer(velocity, now, waited=chance.choice([0, SECOND]))
+        gate.offer_command(velocity, now, waited=chance.choice([0, SECOND]))
         play(gate, now, now)
     counters = gate.counters
     assert counters.received == 2000
@@ -414,14 +414,14 @@ def test_replaced_received_and_refused_add_up():
 @pytest.mark.parametrize('after', [100 * MS, 600 * MS])
 def test_a_longer_time_out_counts_from_the_next_command_on(longer, after):
     gate, now = opened()
-    gate.offer(DRIVE, now)
+    gate.offer_command(DRIVE, now)
     gate.settings = gate.settings._replace(cmd_vel_timeout=longer)
     if after < 500 * MS:
         assert gate.next_frame(now + 499 * MS).velocity == DRIVE
     gate.next_frame(now + max(after, 500 * MS))
     assert gate.counters.time_outs == 1
     assert not gate.driving
-    gate.offer(DRIVE, now + 700 * MS)
+    gate.offer_command(DRIVE, now + 700 * MS)
     gate.next_frame(now + 5 * SECOND)
     assert gate.driving
 
@@ -452,7 +452,7 @@ def test_wall_clock_tells_waiting_and_survives_steps():
 
 def test_a_burst_is_six_zeros_50_ms_apart_30_ms_behind_the_last_frame():
     gate, now = opened()
-    gate.offer(DRIVE, now)
+    gate.offer_command(DRIVE, now)
     [(begin, _)] = play(gate, now, now)
     gate.stop(now + MS, Stop.DISABLED)
     stops = stops_of(play(gate, now + MS, now + 290 * MS))
@@ -473,32 +473,32 @@ def test_it_is_stopping_until_the_last_zero_is_out():
 def test_without_limits_any_speed_goes_through():
     gate, now = opened()
     fast = Vel2d(50.0, -40.0, 30.0)
-    gate.offer(fast, now)
+    gate.offer_command(fast, now)
     assert gate.next_frame(now).velocity == fast
     assert gate.counters.limited == 0
 
 
 def test_what_was_limited_is_counted():
     gate, now = opened(max_linear_x=0.25)
-    gate.offer(DRIVE, now)
-    gate.offer(Vel2d(0.1, 0.0, 0.0), now)
+    gate.offer_command(DRIVE, now)
+    gate.offer_command(Vel2d(0.1, 0.0, 0.0), now)
     assert gate.counters.limited == 1
 
 
 def test_a_command_behind_the_time_out_finds_it_noticed():
     """Without a look in between the stop comes first all the same."""
     gate, now = opened()
-    gate.offer(DRIVE, now)
+    gate.offer_command(DRIVE, now)
     play(gate, now, now + MS)
     late = now + 500 * MS
-    gate.offer(OTHER, late)
+    gate.offer_command(OTHER, late)
     assert gate.counters.time_outs == gate.counters.stops[Stop.TIME_OUT] == 1
     assert gate.next_frame(late).velocity == STOP
 
 
 def test_a_command_that_a_stop_overtakes_is_replaced():
     gate, now = opened()
-    gate.offer(DRIVE, now)
+    gate.offer_command(DRIVE, now)
     gate.stop(now, Stop.TYPE_SWITCH)
     assert gate.counters.replaced == 1
     gate.stop(now, Stop.TYPE_SWITCH)
@@ -525,14 +525,14 @@ def test_enabling_and_disabling_again_is_no_news():
 
 def test_closed_again_it_writes_and_takes_nothing():
     gate, now = opened()
-    gate.offer(DRIVE, now)
+    gate.offer_command(DRIVE, now)
     gate.stop(now, Stop.TYPE_SWITCH)
     gate.closed()
     assert not gate.is_open
     assert not gate.stopping
     assert gate.next_frame(now + SECOND) is None
     assert gate.next_deadline(now) == NEVER
-    assert gate.offer(DRIVE, now) is Outcome.NO_PORT
+    assert gate.offer_command(DRIVE, now) is Outcome.NO_PORT
 
 
 @pytest.mark.parametrize(('age_s', 'limit_s', 'verdict'), [
@@ -540,21 +540,21 @@ def test_closed_again_it_writes_and_takes_nothing():
     (5, 5, Outcome.ACCEPTED), (-5, 4.999, Outcome.STAMP_AHEAD), (5, 4.999, Outcome.STAMP_OLD)])
 def test_stamps_are_judged_on_both_sides(age_s, limit_s, verdict):
     gate, now = opened(max_stamp_age=float(limit_s))
-    assert gate.offer(DRIVE, now, stamp_age=age_s * SECOND) is verdict
+    assert gate.offer_command(DRIVE, now, stamp_age=age_s * SECOND) is verdict
 
 
 def test_a_freeze_that_is_noticed_late_does_not_shorten_what_a_suspension_refuses():
     gate, now = opened()
     gate.stop(now, Stop.SUSPEND)
     gate.stop(now + 50 * MS, Stop.FROZEN)
-    assert gate.offer(DRIVE, now + SECOND - 1) is Outcome.FROZEN
+    assert gate.offer_command(DRIVE, now + SECOND - 1) is Outcome.FROZEN
 
 
 def test_before_a_suspension_no_command_is_taken():
     gate, now = opened()
     gate.stop(now, Stop.SUSPEND)
-    assert gate.offer(DRIVE, now + 999 * MS) is Outcome.FROZEN
-    assert gate.offer(DRIVE, now + SECOND) is Outcome.ACCEPTED
+    assert gate.offer_command(DRIVE, now + 999 * MS) is Outcome.FROZEN
+    assert gate.offer_command(DRIVE, now + SECOND) is Outcome.ACCEPTED
 
 
 def test_what_nobody_sets_is_as_the_parameters_say():
@@ -575,9 +575,9 @@ def test_a_zero_command_during_a_burst_is_that_burst():
     """It waits for nothing of its own: no latency, and nothing is replaced by the next."""
     gate, now = opened()
     gate.stop(now, Stop.TYPE_SWITCH)
-    gate.offer(STOP, now)
+    gate.offer_command(STOP, now)
     assert gate.next_frame(now) == (STOP, FrameKind.STOP, None)
-    gate.offer(STOP, now)
+    gate.offer_command(STOP, now)
     assert (gate.counters.accepted, gate.counters.replaced) == (2, 0)
     assert gate.counters.stops[Stop.COMMAND] == 0
 
@@ -606,17 +606,17 @@ def test_no_rounding_carries_a_velocity_over_its_limit(velocity, limits):
 def test_what_is_inside_the_limits_is_not_rounded():
     velocity = Vel2d(-0.45, -0.32, -1.25)            # not the same after / 1.25 * 1.25
     gate, now = opened(max_linear_x=5.0, max_linear_y=5.0, max_angular_z=5.0)
-    gate.offer(velocity, now)
+    gate.offer_command(velocity, now)
     assert gate.next_frame(now).velocity == velocity
     assert gate.counters.limited == 0
 
 
 def test_a_command_behind_a_resend_goes_out_after_the_gap():
     gate, now = opened()
-    gate.offer(DRIVE, now)
+    gate.offer_command(DRIVE, now)
     resent = play(gate, now, now + 75 * MS)[-1]
     assert resent == (now + 75 * MS, (DRIVE, FrameKind.RESEND, None))
-    gate.offer(OTHER, resent[0])
+    gate.offer_command(OTHER, resent[0])
     gap = characters_ns(FRAME_SIZE + 2, 115200)
     assert gate.next_frame(resent[0] + gap - 1) is None
     assert gate.next_frame(resent[0] + gap) == (OTHER, FrameKind.COMMAND, resent[0])

@@ -237,7 +237,8 @@ sys.path.insert(0, 'test')
 from synthetic_robot import serialise
 report = Monitor('', Models(), Settings(devices=(Expected(1),))).report(0)
 state = State()
-state.take(TABLES, serialise([device_status('dxl_monitor', '', report.devices[0], (), True)]), 1.0)
+status = device_status('dxl_monitor', '', report.devices[0], (), True)
+state.store_message(TABLES, serialise([status]), 1.0)
 [row] = state.changes(0)['devices'].values()
 print(row['errors'], b'"Kinds of errors"' in _files()['figures.js'])
 """) == '0 True'

@@ -68,7 +68,7 @@ def velocities(mcu):
 def drive(link, mcu, velocity=DRIVE):
     """Command until the MCU follows."""
     def follows():
-        link.offer(velocity)
+        link.offer_command(velocity)
         return mcu.receiver.wheels.x == velocity.x * 1000
 
     wait(follows)
@@ -102,7 +102,7 @@ def test_closing_ends_with_a_burst(mcu):
         drive(link, mcu)
     wait(lambda: mcu.receiver.wheels.is_stop)
     assert velocities(mcu)[-5:] == [STOP] * 5
-    assert link.offer(DRIVE) is Outcome.SHUTDOWN
+    assert link.offer_command(DRIVE) is Outcome.SHUTDOWN
     assert not link.state().is_open
     link.close()
 
@@ -133,7 +133,7 @@ def test_a_thousand_commands_at_200_hz(mcu, rate):
         outcomes = set()
         for index, command in enumerate(commands):
             time.sleep(max(0.0, begin + index * 0.005 - time.monotonic()))
-            outcomes.add(link.offer(command))
+            outcomes.add(link.offer_command(command))
         elapsed = time.monotonic() - begin
         frames = mcu.totals()['frames'] - before
         wait(lambda: mcu.receiver.wheels.is_stop)
@@ -153,7 +153,7 @@ def test_unplugged_and_back_ten_times(mcu):
         for _ in range(10):
             drive(link, mcu)
             unplug(link, mcu)
-            assert link.offer(DRIVE) is Outcome.NO_PORT
+            assert link.offer_command(DRIVE) is Outcome.NO_PORT
             mcu.receiver.arrivals.clear()
             mcu.come_back()
             wait(lambda: len(mcu.receiver.arrivals) >= 5)
@@ -268,7 +268,7 @@ def test_whatever_comes_first_after_a_freeze_sends_no_old_set_point(act):
     while STOP not in port.written[2:]:              # the burst
         now += 10 * MILLISECOND
         link._pacer.turn(now)
-    link.offer(DRIVE)
+    link.offer_command(DRIVE)
     while port.written[-1] == STOP:
         now += 10 * MILLISECOND
         link._pacer.turn(now)
@@ -374,7 +374,7 @@ def test_a_thread_that_hangs_or_has_ended_does_not_work(mcu, monkeypatch):
     wait(lambda: link.state().is_open)
     assert link.is_working()
     monkeypatch.setattr(Port, 'read', read)
-    mcu.say(b'hello')
+    mcu.send_text(b'hello')
     assert hangs.wait(PATIENCE_S)
     wait(lambda: not link.is_working())
     goes_on.set()
@@ -460,7 +460,7 @@ def test_what_the_mcu_says_is_handed_on(mcu):
     heard = []
     with linked(mcu.path, on_received=lambda chunk, stamp: heard.append(chunk)) as link:
         wait(lambda: link.state().is_open)
-        mcu.say(b'battery low\n')
+        mcu.send_text(b'battery low\n')
         wait(lambda: b''.join(heard) == b'battery low\n')
 
 
@@ -470,7 +470,7 @@ def test_a_callback_that_fails_does_not_end_the_stops(mcu):
 
     with linked(mcu.path, on_received=fail) as link:
         drive(link, mcu)
-        mcu.say(b'x')
+        mcu.send_text(b'x')
         wait(lambda: link.state().losses == 1)
         assert 'ValueError: a mistake' in link.state().last_error
         wait(lambda: mcu.receiver.wheels.is_stop)
@@ -482,10 +482,10 @@ def test_disable_stop_and_settings_take_effect(mcu):
         drive(link, mcu)
         link.enable(False)
         wait(lambda: mcu.receiver.wheels.is_stop)
-        assert link.offer(DRIVE) is Outcome.DISABLED
+        assert link.offer_command(DRIVE) is Outcome.DISABLED
         link.enable(True)
         link.apply(GateSettings(max_linear_x=0.25), write_timeout_s=0.02)
-        link.offer(DRIVE)
+        link.offer_command(DRIVE)
         assert link.gate.velocity == Vel2d(0.25, -0.125, 0.5)
         link.suspend()
         assert link.gate.counters.stops[Stop.SUSPEND] == 1

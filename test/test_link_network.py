@@ -75,7 +75,7 @@ link.start()
 def drive(seconds):
     end = time.monotonic() + seconds
     while time.monotonic() < end:
-        link.offer(Vel2d(0.5, 0.0, time.monotonic()))
+        link.offer_command(Vel2d(0.5, 0.0, time.monotonic()))
         time.sleep(0.02)
 
 wait(lambda: link.state().is_open)

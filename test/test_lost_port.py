@@ -70,11 +70,11 @@ def test_a_claim_lasts_until_it_is_dropped_and_one_s_own_is_none():
     device = os.fstat(ends[1])
     claim, another = PortClaim(), PortClaim()
     assert not is_claimed(device, PATH, '')
-    claim.take(ends[1], PATH)
-    claim.take(ends[1], PATH)
+    claim.claim_port(ends[1], PATH)
+    claim.claim_port(ends[1], PATH)
     assert is_claimed(device, PATH, another.token)
     assert not is_claimed(device, PATH, claim.token)
-    another.take(ends[1], PATH)
+    another.claim_port(ends[1], PATH)
     assert is_claimed(device, PATH, claim.token)
     assert not is_claimed(device, '/dev/another', claim.token)    # it got the number
     claim.drop()
@@ -87,5 +87,5 @@ def test_a_claim_lasts_until_it_is_dropped_and_one_s_own_is_none():
 def test_what_is_no_device_is_not_claimed():
     claim = PortClaim()
     with Path(__file__).open() as file:
-        claim.take(file.fileno(), __file__)
+        claim.claim_port(file.fileno(), __file__)
     assert claim._socket is None

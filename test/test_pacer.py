@@ -69,7 +69,7 @@ class World:
             self.now = min(max(wake, self.now + 1), self.now + 50 * MS, end)
 
     def drive(self):
-        self.pacer.offer(DRIVE, self.now)
+        self.pacer.offer_command(DRIVE, self.now)
         self.pacer.step(self.now)
 
     @property
@@ -81,7 +81,7 @@ def test_nothing_happens_without_a_line():
     pacer = Pacer(Gate(), lambda: START)
     assert pacer.turn(START) == NEVER
     assert pacer.turn(START + SECOND, True) == NEVER
-    assert pacer.offer(DRIVE, START) is Outcome.NO_PORT
+    assert pacer.offer_command(DRIVE, START) is Outcome.NO_PORT
     assert (pacer.freezes, pacer.is_idle()) == (0, True)
 
 
@@ -111,8 +111,8 @@ def test_a_callback_notices_a_freeze_as_well_and_it_counts_once():
     world.drive()
     world.pacer.turn(world.now)
     now = world.now + SILENCE
-    assert world.pacer.offer(DRIVE, now) is Outcome.FROZEN
-    assert world.pacer.offer(DRIVE, now + MS) is Outcome.FROZEN
+    assert world.pacer.offer_command(DRIVE, now) is Outcome.FROZEN
+    assert world.pacer.offer_command(DRIVE, now + MS) is Outcome.FROZEN
     assert world.pacer.freezes == 1
     world.pacer.turn(now + 2 * MS)
     assert world.pacer.freezes == 1
@@ -124,7 +124,7 @@ def test_where_the_deadman_acted_the_bridge_begins_anew():
     world.drive()
     world.pacer.turn(world.now, True)
     assert world.pacer.freezes == 1
-    assert world.pacer.offer(DRIVE, world.now, acted=True) is Outcome.FROZEN
+    assert world.pacer.offer_command(DRIVE, world.now, acted=True) is Outcome.FROZEN
 
 
 def test_a_driver_that_counts_whole_transfers_is_given_the_time_of_any_other():
@@ -196,7 +196,7 @@ def test_time_outs_in_a_row_are_counted_and_a_good_write_ends_the_row():
 def test_a_refused_write_is_tried_again_soon_but_not_busily():
     world = World()
     world.line.takes = 0
-    world.pacer.offer(DRIVE, world.now)
+    world.pacer.offer_command(DRIVE, world.now)
     wake = world.pacer.step(world.now)
     assert wake == world.now + RETRY
     world.line.takes = FRAME_SIZE
@@ -209,7 +209,7 @@ def test_while_bytes_are_pending_it_looks_again_soon_and_writes_nothing():
     world.drive()
     world.line.holds = 5
     assert world.pacer.step(world.now + MS) >= world.now + MS + RETRY
-    world.pacer.offer(DRIVE, world.now + 40 * MS)
+    world.pacer.offer_command(DRIVE, world.now + 40 * MS)
     world.pacer.step(world.now + 40 * MS)
     assert len(world.line.written) == 1
 
@@ -232,7 +232,7 @@ def test_behind_a_frame_that_left_late_there_is_a_gap_and_else_none(early):
     world.pacer.step(world.now + characters_ns(FRAME_SIZE + 2, 115200) - early)
     world.line.holds = 0
     now = world.now + 45 * MS
-    world.pacer.offer(DRIVE, now)
+    world.pacer.offer_command(DRIVE, now)
     wake = world.pacer.step(now)
     assert len(world.line.written) == 1 + early
     if not early:
@@ -258,7 +258,7 @@ def test_a_new_line_begins_anew():
 def test_the_timings_of_a_frame_are_those_of_its_write():
     world = World()
     begin = world.now
-    world.pacer.offer(DRIVE, begin)
+    world.pacer.offer_command(DRIVE, begin)
     world.now = begin + 2 * MS                       # the thread comes a little later
     world.line.on_write = lambda: setattr(world, 'now', begin + 5 * MS)
     world.pacer.step(world.now)

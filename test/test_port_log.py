@@ -19,8 +19,8 @@ def test_everything_is_told_once_and_in_order():
     for one in losses:
         news.add(one)
         news.add(None)
-    assert list(news.take()) == [one for pair in losses for one in (pair, None)]
-    assert list(news.take()) == []
+    assert list(news.take_changes()) == [one for pair in losses for one in (pair, None)]
+    assert list(news.take_changes()) == []
     assert news.left_out() == 0
 
 
@@ -31,9 +31,9 @@ def test_a_port_that_comes_and_goes_while_the_node_is_held_up():
     for one in losses:
         news.add(one)
     assert (news.left_out(), news.left_out()) == (49 * KEPT, 0)
-    assert list(news.take()) == losses[-KEPT:]
+    assert list(news.take_changes()) == losses[-KEPT:]
     news.add(None)
-    assert (list(news.take()), news.left_out()) == ([None], 0)
+    assert (list(news.take_changes()), news.left_out()) == ([None], 0)
 
 
 def test_what_one_thread_adds_another_takes():
@@ -47,9 +47,9 @@ def test_what_one_thread_adds_another_takes():
     thread = Thread(target=fill)
     thread.start()
     while thread.is_alive():
-        taken.extend(news.take())
+        taken.extend(news.take_changes())
     thread.join()
-    taken.extend(news.take())
+    taken.extend(news.take_changes())
     numbers = [losses.index(one) for one in taken[-2 * KEPT:]]
     assert numbers == sorted(set(numbers))
     assert taken[-1] is losses[-1]

@@ -30,7 +30,7 @@ from msg_defs.reports import Status
 def told(*robots, state=None, now_s=100.0):
     state = state or State()
     for robot in robots:
-        state.take(OVERVIEW, serialise(robot.overview(now_s)), now_s)
+        state.store_message(OVERVIEW, serialise(robot.overview(now_s)), now_s)
     return state
 
 
@@ -61,8 +61,9 @@ def test_a_sick_device_has_a_line_and_an_exit_code(group, code, level):
 @pytest.mark.parametrize('model', ['unknown', 'unknown (4711)', 'MX-64'])
 def test_level_and_message_are_those_of_the_status(model):
     state = State()
-    state.take(OVERVIEW, serialise([Status('dxl_monitor: 001', Level.OK, 'as judged', '1', [
-        ('Model', model), ('Firmware Version', 'unknown'), ('State', 'connected')])]), 1.0)
+    status = Status('dxl_monitor: 001', Level.OK, 'as judged', '1', [
+        ('Model', model), ('Firmware Version', 'unknown'), ('State', 'connected')])
+    state.store_message(OVERVIEW, serialise([status]), 1.0)
     [line] = [line for line in status_lines(state, 1.0, every_device=True) if line.what == '001']
     assert (line.level, line.message) == (Level.OK, 'as judged')
 
@@ -89,19 +90,21 @@ def test_what_is_no_longer_reported_is_silent_and_then_gone():
         ('bus', 'No report from dxl_monitor: nothing is known of its 1 device; last report 5 s '
                 'ago')]
     assert exit_code(state) == 3
-    state.take(OVERVIEW, serialise(robot.overview(170.0)[:1]), 170.0)   # its bus lives, it not
+    # Its bus is reported, it is not.
+    state.store_message(OVERVIEW, serialise(robot.overview(170.0)[:1]), 170.0)
     assert [line.what for line in status_lines(state, 170.0) if line.what == '001'] == []
 
 
 def test_nothing_of_others_and_no_control_codes():
     state = State()
     assert exit_code(state) == 1
-    state.take(OVERVIEW, b'\1\2\3', 1.0)
-    state.take(OVERVIEW, serialise([Status('cpu: load', Level.ERROR, 'hot', '', [])]), 1.0)
+    state.store_message(OVERVIEW, b'\1\2\3', 1.0)
+    foreign = Status('cpu: load', Level.ERROR, 'hot', '', [])
+    state.store_message(OVERVIEW, serialise([foreign]), 1.0)
     assert status_lines(state, 1.0) == []
     evil = Status('dxl_monitor: 001 \x1b[2Jknee', Level.ERROR, 'lost\nand \x07more', '1',
                   [('Model', 'MX-64'), ('Firmware Version', '1'), ('State', 'disconnected')])
-    state.take(OVERVIEW, serialise([evil]), 1.0)
+    state.store_message(OVERVIEW, serialise([evil]), 1.0)
     assert all(text.isprintable() for text in screen(status_lines(state, 1.0)))
 
 
@@ -114,11 +117,11 @@ from mecarover_dashboard.terminal import Display
 from mecarover_serial.standard_streams import StandardStreams
 robot, state = SyntheticRobot(), State()
 robot.lost = {number for number, _, _ in robot.buses['']} - {103}
-state.take(OVERVIEW, serialise(robot.overview(1.0)), 1.0)
+state.store_message(OVERVIEW, serialise(robot.overview(1.0)), 1.0)
 display = Display(state, None, False)
 with StandardStreams('mecarover_status'):
-    display.look(1.0)
-    display.look(3.0)
+    display.show_state(1.0)
+    display.show_state(3.0)
 """
 
 

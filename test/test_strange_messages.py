@@ -112,13 +112,13 @@ sys.exit(main.main())"""
 @pytest.fixture
 def mishaps(ros):
     """Return what survives errors, of a node with one timer that rclpy is about to call."""
-    from mecarover_serial.ros_node import _Mishaps
+    from mecarover_serial.ros_node import _SpinErrors
     timer = SimpleNamespace(_executor_event=True, callback_group=SimpleNamespace(
         _active_entity='timer'))
     node = SimpleNamespace(lines=[], timers=[timer], **dict.fromkeys(
         ('subscriptions', 'guards', 'clients', 'services', 'waitables'), ()))
     node.get_logger = lambda: SimpleNamespace(warning=node.lines.append)
-    return _Mishaps(SimpleNamespace(node=node))
+    return _SpinErrors(SimpleNamespace(node=node))
 
 
 def test_an_executor_that_only_raises_ends_the_node(ros, mishaps):

@@ -46,7 +46,7 @@ deadman = Deadman()
 link = Link(sys.argv[1], 115200, Gate(), deadman=deadman)
 link.start()
 while signal.sigtimedwait({signal.SIGTERM}, 0.01) is None:
-    link.offer(Vel2d(0.5, 0.0, 0.0))
+    link.offer_command(Vel2d(0.5, 0.0, 0.0))
 link.close()
 sys.exit(7)
 """

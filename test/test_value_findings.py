@@ -112,10 +112,10 @@ class Watched:
         self._log.take(report)
         statuses = statuses_of('dxl_monitor', '', report, PortState('/dev/ttyUSB0', '', ()), True)
         self.statuses = {status.name.rpartition(': ')[2]: status for status in statuses}
-        self._state.take(TABLES, statuses, self.now / S)
-        self._sampler.look(self._state, self.now / S, NIGHT + self.now / S)
+        self._state.store_message(TABLES, statuses, self.now / S)
+        self._sampler.sample_state(self._state, self.now / S, NIGHT + self.now / S)
         who = 'bus' if self.whom is None else f'{self.whom:03}'
-        self.events += [event for event in self._sampler.taken()[1]
+        self.events += [event for event in self._sampler.take_batch()[1]
                         if event.source.name.rpartition(': ')[2] == who]
 
     def finding(self):
@@ -270,7 +270,7 @@ def test_a_monitor_that_was_started_again_clears_nothing():
     bus.monitor = Monitor('', MODELS, Settings(baud=1_000_000))
     bus.now += 60 * S
     bus._state.expire(bus.now / S)
-    bus._sampler.look(bus._state, bus.now / S, NIGHT + bus.now / S)
+    bus._sampler.sample_state(bus._state, bus.now / S, NIGHT + bus.now / S)
     bus.turns(5, {'read': {'Present Position': 2048}})
     assert bus.finding() is None
     assert 'over' not in [event.kind for event in bus.events]

@@ -42,8 +42,8 @@ class WholeTruth(GroundTruth):
         self._line = line
         self.tables = defaultdict(KnownTable)
 
-    def take(self, exchange):
-        super().take(exchange)
+    def count_exchange(self, exchange):
+        super().count_exchange(exchange)
         damaged = [burst.start for burst in exchange.bursts if not burst.intact]
         if exchange.bursts[0].intact:
             self._learn(exchange.request, [answer for answer in good_answers(exchange)

@@ -23,7 +23,7 @@ from std_srvs.srv import SetBool
 from std_srvs.srv import Trigger
 
 from mecarover_serial.ros_node import declare
-from mecarover_serial.ros_node import Surroundings
+from mecarover_serial.ros_node import GraphCheck
 from mecarover_serial.ros_node import warn_of_overrides
 from msg_defs.crc import CRC_INPUTS
 from msg_defs.crc import CRC_IS_FAST
@@ -40,12 +40,12 @@ from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 from servobus.port.inspection import Inspection
 from servobus.port.port_error import PortError
-from vel2d_bridge.bridge_settings import doubts
 from vel2d_bridge.bridge_settings import gate_settings
 from vel2d_bridge.bridge_settings import PARAMETERS
 from vel2d_bridge.bridge_settings import refuse_at_run_time
 from vel2d_bridge.bridge_settings import refuse_at_start
-from vel2d_bridge.bridge_settings import taken_away
+from vel2d_bridge.bridge_settings import removed_limits
+from vel2d_bridge.bridge_settings import warnings
 from vel2d_bridge.bridge_status import Commands
 from vel2d_bridge.bridge_status import commands_status
 from vel2d_bridge.bridge_status import link_status
@@ -81,8 +81,9 @@ class Bridge:
 
     | attributes | who writes them |
     |---|---|
-    | _values, _refused, _told, _not_kept | callbacks of parameters, commands and services |
-    | _said, _around, _levels, _reported, _known_freezes | _watch(), of the same thread |
+    | _values, _refused, _last_logged, _not_kept | callbacks of parameters, commands and services |
+    | _known_complaints, _graph_complaints, _levels | _watch(), of the same thread |
+    | _reported, _known_freezes | _watch(), too |
     | _sent, _port_log, _hopeless, _mcu | the port's thread; _watch() takes out |
     | all others | set once |
     """
@@ -99,10 +100,10 @@ class Bridge:
         self._port_log = PortLog()
         self._hopeless: PortError | None = None
         self._inspection = Inspection(self._port, [DEADMAN_NAME])
-        self._said: set[str] = set()                # complaints that still stand
+        self._known_complaints: set[str] = set()
         self._known_freezes = 0
         self._refused: tuple[Outcome, int] | None = None
-        self._told: dict[Outcome, int] = {}         # when a reason was last logged
+        self._last_logged: dict[Outcome, int] = {}     # ns, by reason
         self._levels: list[Level] = []
         self._not_kept = ''                         # why switching off would not outlast a restart
         self._reported = 0.0
@@ -114,8 +115,8 @@ class Bridge:
             self.node, self._values['message_type'], self._on_command, self._on_type,
             self._on_left)
         warn_of_overrides(self.node, [f'{self._subscriber.topic}.subscription'])
-        self._surroundings = Surroundings(self.node)
-        self._around: list[str] = []
+        self._graph_check = GraphCheck(self.node)
+        self._graph_complaints: list[str] = []
         self.node.create_service(SetBool, '~/enable', self._enable)
         self.node.create_service(Trigger, '~/reset_statistics', self._reset_statistics)
         self._diagnostics = self.node.create_publisher(
@@ -127,7 +128,7 @@ class Bridge:
         self.node.create_timer(WATCH_S, self._watch, clock=steady)
         if not CRC_IS_FAST:
             self._log.warning(SLOW_CRC_WARNING)
-        self._warn(doubts(self._values))
+        self._warn(warnings(self._values))
         self._link.start()
 
     def stop(self) -> None:
@@ -179,9 +180,9 @@ class Bridge:
         if 'enabled' in changes:
             self._switch(changes['enabled'])
         self._link.apply(gate_settings(self._values), self._values['write_timeout'])
-        known = doubts(before)
-        self._warn([*taken_away(before, self._values),
-                    *(line for line in doubts(self._values) if line not in known)])
+        known = warnings(before)
+        self._warn([*removed_limits(before, self._values),
+                    *(line for line in warnings(self._values) if line not in known)])
 
     def _switch(self, is_on: bool) -> None:
         """Take commands, or stop and refuse them; first the rover, then the disk."""
@@ -200,16 +201,16 @@ class Bridge:
         self._notice_freeze()
         now = time.monotonic_ns()
         velocity = Vel2d(twist.linear.x, twist.linear.y, twist.angular.z)
-        verdict = self._link.offer(velocity, waited=waited, stamp_age=stamp_age)
-        self._timing.command_came(now, stamp_age)       # only now: the frame is on its way
+        verdict = self._link.offer_command(velocity, waited=waited, stamp_age=stamp_age)
+        self._timing.add_command(now, stamp_age)       # only now: the frame is on its way
         if verdict is not Outcome.ACCEPTED:
             self._refused = verdict, now
-            if now - self._told.get(verdict, -THROTTLE_NS) >= THROTTLE_NS:
-                self._told[verdict] = now
+            if now - self._last_logged.get(verdict, -THROTTLE_NS) >= THROTTLE_NS:
+                self._last_logged[verdict] = now
                 say = self._log.debug if verdict is Outcome.SHUTDOWN else self._log.warning
                 say(refusal(
                     full_name(self.node), self._subscriber.topic, velocity, verdict,
-                    self._surroundings.clock_stands()))
+                    self._graph_check.lacks_clock()))
         if twist.linear.z or twist.angular.x or twist.angular.y:
             self._log.warning(
                 f'{self._subscriber.topic}: linear.z, angular.x and angular.y are ignored, as the '
@@ -235,7 +236,7 @@ class Bridge:
     # The port's thread calls these
 
     def _on_sent(self, sent: Sent) -> None:
-        self._timing.sent(sent)
+        self._timing.add_frame(sent)
         self._mcu.drives += sent.velocity != STOP
         if self._log.get_effective_level() <= LoggingSeverity.DEBUG:
             self._sent.append(sent)
@@ -255,8 +256,8 @@ class Bridge:
         state = self._link.state()
         if state.is_open:
             self._inspection.look(state.openings, time.monotonic())
-        self._subscriber.look()
-        self._around = self._surroundings.complaints()
+        self._subscriber.follow_graph()
+        self._graph_complaints = self._graph_check.complaints()
         self._write_logs()
         self._report()
 
@@ -269,7 +270,7 @@ class Bridge:
         if left_out := self._port_log.left_out():
             self._log.warning(f'{self._port}: was opened or lost {left_out} more times than this '
                               'log shows, as the node was blocked; the next lines are the newest')
-        for problem in self._port_log.take():
+        for problem in self._port_log.take_changes():
             if problem is None:         # two lines: rclpy ties a severity to a place in the code
                 until = 'a command comes' if self._link.gate.enabled else 'commands are enabled'
                 self._log.info(f'{self._port}: open at {self._values["baud"]} baud; the '
@@ -279,7 +280,8 @@ class Bridge:
 
     def _write_logs(self) -> None:
         self._log_changes()
-        self._say_new([*self._link_warnings(), *self._around, *self._subscriber.warnings])
+        self._warn_of_new([*self._link_warnings(), *self._graph_complaints,
+                           *self._subscriber.warnings])
         crc = CRC_INPUTS[self._values['crc_input']]
         while self._sent:
             velocity = self._sent.popleft().velocity
@@ -287,7 +289,7 @@ class Bridge:
             self._log.debug(f'sending [{velocity.x}, {velocity.y}, {velocity.omega}], '
                             f'crc: {checksum}')
         now = time.monotonic_ns()
-        for line in self._mcu.take(now):
+        for line in self._mcu.take_lines(now):
             self._log.info(f'MCU: {line}')
         if garbage := self._mcu.garbage(now):
             self._log.warning(f'{self._port}: {garbage}')
@@ -298,10 +300,10 @@ class Bridge:
             f'{self._port}: {line}'
             for line in self._mcu.complaints(time.monotonic_ns(), self._other_crc_input))]
 
-    def _say_new(self, complaints: Sequence[str]) -> None:
+    def _warn_of_new(self, complaints: Sequence[str]) -> None:
         """Warn of a complaint once, when it comes up."""
-        self._warn([line for line in complaints if line not in self._said])
-        self._said = set(complaints)
+        self._warn([line for line in complaints if line not in self._known_complaints])
+        self._known_complaints = set(complaints)
 
     def _report(self) -> None:
         """Publish both statuses once a second, and at once when a level changes."""
@@ -327,9 +329,10 @@ class Bridge:
             subscriber.topic, subscriber.subscribed, self._values['cmd_vel_timeout'],
             [*(f'{self._port}: {line}'
                for line in self._mcu.refused_drives(now, self._other_crc_input)),
-             *self._around, *subscriber.complaints], self._timing.command_period.summary(now),
+             *self._graph_complaints, *subscriber.complaints],
+            self._timing.series['command_period'].summary(now),
             subscriber.zero_stamps, verdict if now - refused_at < REFUSED_NS else None,
-            self._surroundings.clock_stands(), subscriber.absence)
+            self._graph_check.lacks_clock(), subscriber.absence)
         return [link_status(name, self._port, state, self._link_warnings(), self._mcu, now),
                 commands_status(name, self._port, state, self._link.gate.counters, commands)]
 

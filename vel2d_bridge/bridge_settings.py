@@ -76,14 +76,14 @@ def refuse_at_run_time(changes: dict[str, Any]) -> None:
                              'restart')
 
 
-def taken_away(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
+def removed_limits(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
     """Say which limits a change at run time takes away, a line each."""
     return [f'{name}: now 0, so there is no limit any more; it was {before[name]:g}'
             for name in ('max_linear_x', 'max_linear_y', 'max_angular_z', 'max_stamp_age')
             if before[name] and not after[name]]
 
 
-def doubts(values: dict[str, Any]) -> list[str]:
+def warnings(values: dict[str, Any]) -> list[str]:
     """Say what is possible and probably not meant, a line each."""
     lines = []
     timeout, rate = values['cmd_vel_timeout'], values['max_rate']

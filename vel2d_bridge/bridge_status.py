@@ -61,19 +61,19 @@ class Commands(NamedTuple):
     period: Summary | None      # ms between commands, over the window
     zero_stamps: int
     refused: Outcome | None     # why the newest command was refused, if that is not long ago
-    clock_stands: bool = False  # use_sim_time without /clock
+    lacks_clock: bool = False  # use_sim_time without /clock
     absence: str = ''           # no node publishes: not a fault while the rover is stopped
 
 
-def refusal(node: str, topic: str, velocity: Vel2d, verdict: Outcome, clock_stands: bool) -> str:
+def refusal(node: str, topic: str, velocity: Vel2d, verdict: Outcome, lacks_clock: bool) -> str:
     """Say why a command was not taken, and what helps."""
     x, y, omega = velocity
     return (f'{topic}: command ({x:g}, {y:g}, {omega:g}) refused: {verdict.value}; '
-            f'{_remedy(verdict, node, clock_stands)}')
+            f'{_remedy(verdict, node, lacks_clock)}')
 
 
-def _remedy(verdict: Outcome, node: str, clock_stands: bool) -> str:
-    if clock_stands and verdict in (Outcome.STAMP_OLD, Outcome.STAMP_AHEAD):
+def _remedy(verdict: Outcome, node: str, lacks_clock: bool) -> str:
+    if lacks_clock and verdict in (Outcome.STAMP_OLD, Outcome.STAMP_AHEAD):
         return 'start what publishes /clock, or set use_sim_time false'
     return _REMEDIES[verdict].replace('NODE', node)
 
@@ -162,7 +162,7 @@ def _complaints(node: str, state: LinkState, commands: Commands) -> list[str]:
         lines.append(f'{commands.topic}: disabled; {_remedy(Outcome.DISABLED, node, False)}')
     elif commands.refused is not None:
         lines.append(f'{commands.topic}: commands are refused: {commands.refused.value}; '
-                     f'{_remedy(commands.refused, node, commands.clock_stands)}')
+                     f'{_remedy(commands.refused, node, commands.lacks_clock)}')
     if commands.timeout_s == 0:
         lines.append('cmd_vel_timeout: 0 holds the last command for ever'
                      + (', and the rover is driving' if state.driving else '')

@@ -16,39 +16,39 @@ class Timing:
     """Series of the metrics; one thread at a time adds to each of them."""
 
     def __init__(self) -> None:
-        self.callback_to_write = Series()
-        self.write = Series()
-        self.command_period = Series()
-        self.stamp_age = Series()
+        self.series = {name: Series() for name in (
+            'callback_to_write', 'write', 'command_period', 'stamp_age')}
         self._frames = Rate()
         self._last_command: int | None = None
 
-    def command_came(self, now: int, stamp_age: int | None) -> None:
-        """Note the time and age (None: no stamp) of a command, accepted or refused."""
+    def add_command(self, now: int, stamp_age: int | None) -> None:
+        """Add the time and age (None: no stamp) of a command, accepted or refused."""
         if self._last_command is not None:
-            self.command_period.add((now - self._last_command) / _NS_PER_MS, now)
+            self._add('command_period', now - self._last_command, now)
         self._last_command = now
         if stamp_age is not None:
-            self.stamp_age.add(stamp_age / _NS_PER_MS, now)
+            self._add('stamp_age', stamp_age, now)
 
-    def sent(self, sent: Sent) -> None:
-        """Note the timings of a frame."""
-        self.write.add(sent.write / _NS_PER_MS, sent.stamp)
+    def add_frame(self, sent: Sent) -> None:
+        """Add the timings of a frame."""
+        self._add('write', sent.write, sent.stamp)
         self._frames.add(1, sent.stamp)
         if sent.latency is not None:
-            self.callback_to_write.add(sent.latency / _NS_PER_MS, sent.stamp)
+            self._add('callback_to_write', sent.latency, sent.stamp)
+
+    def _add(self, name: str, duration: int, now: int) -> None:
+        self.series[name].add(duration / _NS_PER_MS, now)
 
     def reset(self) -> None:
         """Set the figures since start to zero."""
-        for series in (self.callback_to_write, self.write, self.command_period, self.stamp_age):
+        for series in self.series.values():
             series.reset()
 
     def metrics(self, now: int) -> list[Metric]:
         """Return every metric, those without data too: topics do not come and go."""
         return [
-            *(Metric(name, 'ms', series.summary(now), series.total()) for name, series in (
-                ('callback_to_write', self.callback_to_write), ('write', self.write),
-                ('command_period', self.command_period), ('stamp_age', self.stamp_age))),
+            *(Metric(name, 'ms', series.summary(now), series.total())
+              for name, series in self.series.items()),
             Metric('frame_rate', 'Hz', value=self._frames.per_second(now)),
             Metric('resident_memory', 'MB', value=resident_memory_mb()),
         ]

@@ -32,7 +32,7 @@ class PortClaim:
         self._name = ''
         self._socket: socket.socket | None = None
 
-    def take(self, fd: int, path: str) -> None:
+    def claim_port(self, fd: int, path: str) -> None:
         """Claim an open port, found at `path`, before the first byte. Never raises."""
         with suppress(OSError):
             status = os.fstat(fd)

@@ -74,7 +74,7 @@ class CmdVelSubscriber:
         ours = self._subscription.qos_profile.reliability
         return self.choice._replace(reliable=ours == ReliabilityPolicy.RELIABLE)
 
-    def look(self) -> None:
+    def follow_graph(self) -> None:
         """Look at the graph and follow it; to be called several times a second."""
         self._wall.observe(*_clocks())
         ours = self._subscription.qos_profile

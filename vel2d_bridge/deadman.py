@@ -5,7 +5,7 @@ Deadman: the bridge's side of the process that stops the rover when the bridge d
 
 Forked before rclpy.init, while there is one thread; deadman_server.py and watch.py are what it
 does. Both sides share a board in memory, a channel, which wakes it and ends with either side, and
-a pocket, in which the open port lies.
+a queue, in which the open port lies.
 """
 from __future__ import annotations
 
@@ -51,15 +51,15 @@ class Deadman:
         self._acted = 0
         self._words[ALIVE] = self._words[BEATEN] = time.monotonic_ns()
         self._channel, their_channel = socket.socketpair()
-        self._pocket, their_pocket = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        for one in (self._channel, self._pocket, their_pocket):
+        self._fd_queue, their_fd_queue = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        for one in (self._channel, self._fd_queue, their_fd_queue):
             one.setblocking(False)
         prctl(PR_SET_CHILD_SUBREAPER, 1)         # a dead man whose server was killed
         self._child = os.fork()
         if self._child == 0:
-            serve(self._board, their_channel, their_pocket)
+            serve(self._board, their_channel, their_fd_queue)
         their_channel.close()
-        their_pocket.close()
+        their_fd_queue.close()
         self._write(AWAY)
         self._wait(self._is_handled)
 
@@ -77,7 +77,7 @@ class Deadman:
         self.beat(time.monotonic_ns())
         number = (self._record.number + 1).to_bytes(NUMBER, 'little')
         with suppress(OSError):
-            socket.send_fds(self._pocket, [number], [fd])
+            socket.send_fds(self._fd_queue, [number], [fd])
         self._write(HELD, stop=stop_frame, baud=baud, path=os.path.abspath(path) if path else '',
                     device=identity(os.fstat(fd).st_rdev),
                     settings=settings(fd), claim=claim)
@@ -117,13 +117,13 @@ class Deadman:
         """End it, without stops: the bridge has sent its own. Never raises."""
         self._write(GOODBYE)
         if not self._wait(self._is_gone):
-            self._end_child()
+            self._end_server()
             self._wait(self._is_gone)
         self._wait(self._is_reaped)
         self._channel.close()
-        self._pocket.close()
+        self._fd_queue.close()
 
-    def _end_child(self) -> None:
+    def _end_server(self) -> None:
         """End a server that does not respond; its dead man goes on then, and leaves."""
         server = self._words[SERVER] or self._child
         with suppress(ChildProcessError):

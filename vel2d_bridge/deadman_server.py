@@ -26,14 +26,14 @@ from vel2d_bridge.board import HANDLED
 from vel2d_bridge.board import SERVER
 from vel2d_bridge.board import SharedBoard
 from vel2d_bridge.board import WATCH
-from vel2d_bridge.watch import DEAF_S
+from vel2d_bridge.watch import IGNORE_SIGTERM_S
 from vel2d_bridge.watch import SEARCH_S
 from vel2d_bridge.watch import Watch
 
 NAME = 'deadman'                   # `pkill -f vel2d_bridge` must not find it
 _REBIRTH_S = 0.02                  # before the next dead man: one that fails must not spin
-_LOOK_MS = 250
-_LOOKS = 4                         # without a sign of life. Not a time: we may have slept too
+_CHECK_MS = 250
+_SILENT_CHECKS = 4                 # without a sign of life. Not a time: we may have slept too
 _OUTLIVE_S = SEARCH_S + 5.0        # the bridge
 _LEFT = (0, signal.SIGTERM)        # status of a dead man that needs no other
 
@@ -78,22 +78,23 @@ class _DeadmanServer:
     def __init__(self, watch: Watch) -> None:
         self._watch = watch
         self._words = watch.board.words
-        self._gone_at: float | None = None       # the bridge
+        self._bridge_ended_s: float | None = None
         prctl(PR_SET_PDEATHSIG, signal.SIGCONT)
 
     def run(self) -> None:
         """Return never."""
-        while not self._is_over():
+        while not self._has_outlived_bridge(_OUTLIVE_S):
             with suppress(OSError):              # no process or descriptor is to be had just now
-                self._have_one()
+                self._keep_watcher()
             time.sleep(_REBIRTH_S)
         os._exit(0)
 
-    def _is_over(self) -> bool:
-        """Whether the bridge is dead for so long that no guard is needed."""
-        return self._gone_at is not None and time.monotonic() - self._gone_at > _OUTLIVE_S
+    def _has_outlived_bridge(self, seconds: float) -> bool:
+        """Tell whether the bridge has been dead for so long."""
+        ended_s = self._bridge_ended_s
+        return ended_s is not None and time.monotonic() - ended_s > seconds
 
-    def _have_one(self) -> None:
+    def _keep_watcher(self) -> None:
         """Start a dead man; return when another one is needed."""
         server = self._words[SERVER] = os.getpid()
         ours, theirs = socket.socketpair()       # closed at its end
@@ -102,44 +103,44 @@ class _DeadmanServer:
                 child = os.fork()
                 if child == 0:
                     ours.close()
-                    self._be_it(server)
-            self._watch.let_go()                 # two that hold a port would be one too many
-            status = self._accompany(child, ours)
+                    self._run_watcher(server)
+            self._watch.release_port()           # two that hold a port would be one too many
+            status = self._await_watcher_end(child, ours)
         if status in _LEFT:
             os._exit(0)
         self._words[HANDLED] = 0
 
-    def _be_it(self, server: int) -> None:
+    def _run_watcher(self, server: int) -> None:
         """Be the dead man. Never returns."""
         prctl(PR_SET_PDEATHSIG, signal.SIGCONT)
         self._words[WATCH] = os.getpid()
-        self._watch.run(lambda: self._replace(server))
+        self._watch.run(lambda: self._replace_server(server))
         os._exit(0)
 
-    def _replace(self, server: int) -> None:
+    def _replace_server(self, server: int) -> None:
         """Take the place of a server that was killed, as soon as there is a process to be had."""
         if os.getppid() != server:
             with suppress(OSError):
-                self._have_one()
+                self._keep_watcher()
                 self.run()
 
-    def _accompany(self, child: int, end: socket.socket) -> int:
+    def _await_watcher_end(self, child: int, end: socket.socket) -> int:
         """Return the wait status of a dead man; end one that shows no sign of life."""
         poll = select.poll()
         poll.register(end, 0)
-        if self._gone_at is None:
+        if self._bridge_ended_s is None:
             poll.register(self._watch.channel, 0)
-        last, looks = 0, 0
-        while end.fileno() not in (events := dict(poll.poll(_LOOK_MS))):
+        last, silent_checks = 0, 0
+        while end.fileno() not in (events := dict(poll.poll(_CHECK_MS))):
             before, last = last, self._words[ALIVE]
             if events:
                 poll.unregister(self._watch.channel)
-                self._gone_at = time.monotonic()
+                self._bridge_ended_s = time.monotonic()
                 os.kill(child, signal.SIGCONT)
             else:
-                looks = looks + 1 if last == before else 0
-            if looks >= _LOOKS or self._is_over():
+                silent_checks = silent_checks + 1 if last == before else 0
+            if silent_checks >= _SILENT_CHECKS or self._has_outlived_bridge(_OUTLIVE_S):
                 os.kill(child, signal.SIGKILL)
-            if self._gone_at is not None and time.monotonic() - self._gone_at > DEAF_S:
+            if self._has_outlived_bridge(IGNORE_SIGTERM_S):
                 signal.signal(signal.SIGTERM, signal.SIG_DFL)
         return os.waitpid(child, 0)[1]

@@ -169,7 +169,7 @@ class Gate:
         """Whether zeros of a stop burst are still to be written."""
         return self._burst_zeros_left > 0
 
-    def offer(
+    def offer_command(
             self, velocity: Vel2d, now: int, *,
             waited: int = 0, stamp_age: int | None = None) -> Outcome:
         """Judge a command; `waited` ns in the middleware, `stamp_age` ns (None: no stamp)."""

@@ -132,11 +132,12 @@ class Link:
         return self._thread.is_alive() and (
             self._port is None or self._clock() - self._beaten < _HANGING_NS)
 
-    def offer(self, velocity: Vel2d, *, waited: int = 0, stamp_age: int | None = None) -> Outcome:
+    def offer_command(
+            self, velocity: Vel2d, *, waited: int = 0, stamp_age: int | None = None) -> Outcome:
         """Judge a command and write it at once when the rate allows (times in ns)."""
         with self._lock:
             now = self._clock()
-            verdict = self._pacer.offer(
+            verdict = self._pacer.offer_command(
                 velocity, now, waited=waited, stamp_age=stamp_age, acted=self._acted())
             self._step(now)
         return verdict
@@ -252,8 +253,8 @@ class Link:
         try:
             port = self._opener(self._name, self._baud)
         except Exception as error:
-            self._report(as_port_error(self._name, error))
-            self._doze(self._backoff.next())
+            self._report_failure(as_port_error(self._name, error))
+            self._pause(self._backoff.next())
             return
         mistake: Exception | None = None
         try:
@@ -267,7 +268,7 @@ class Link:
         finally:
             self._close(port)
         if mistake is not None:
-            self._doze(self._backoff.next())
+            self._pause(self._backoff.next())
 
     def _is_over(self) -> bool:
         """Whether to look for the port no more."""
@@ -277,7 +278,7 @@ class Link:
     def _begin(self, port: Port) -> None:
         path = '' if '://' in self._name else self._name
         if port.fd is not None:
-            self._claim.take(port.fd, path)
+            self._claim.claim_port(port.fd, path)
         if self._deadman is not None and port.fd is not None:
             self._deadman.hold(port.fd, self._stop_frame, self._baud, path, self._claim.token)
         with self._lock:
@@ -291,7 +292,7 @@ class Link:
                 self._overslept = False
                 self._pacer.notice_freeze(now, True)
         self._backoff.reset()
-        self._tell(None)
+        self._report_change(None)
 
     def _is_finished(self, port: Port) -> bool:
         with self._lock:
@@ -312,7 +313,7 @@ class Link:
             sleep = self._wake_at - self._clock()
         if port.wait(max(sleep, 0) / SECOND, self._pipe.fd):
             self._receive(port)
-        self._pipe.swallow()
+        self._pipe.drain()
 
     def _receive(self, port: Port) -> None:
         chunk = port.read()
@@ -343,7 +344,7 @@ class Link:
             if error is not None or port.pending():
                 port.drop_output()
         if error is not None:
-            self._tell(error)
+            self._report_change(error)
 
     def _close(self, port: Port) -> None:
         """
@@ -356,19 +357,19 @@ class Link:
         while not closed.wait(BEAT / SECOND) and self._closing is None:
             self._beat(self._clock())
 
-    def _tell(self, problem: PortError | None) -> None:
+    def _report_change(self, problem: PortError | None) -> None:
         with suppress(Exception):                    # a callback's mistake ends no thread
             self._on_change(problem)
 
-    def _report(self, error: PortError) -> None:
+    def _report_failure(self, error: PortError) -> None:
         with self._lock:
             is_new = self._problem is None or str(error) != str(self._problem)
             self._problem = error
             self._last_error = str(error)
         if is_new:
-            self._tell(error)
+            self._report_change(error)
 
-    def _doze(self, seconds: float) -> None:
+    def _pause(self, seconds: float) -> None:
         """Sleep between attempts, with a beating heart; shutting down shortens it."""
         now = time.monotonic()
         deadline = now + seconds

@@ -32,13 +32,34 @@ _KEYS = ('MCU state', 'MCU good frames', 'MCU bad frames', 'MCU refused frames',
 _COLOUR = re.compile(rb'\x1b\[[0-9;]*[A-Za-z]')
 
 
+_REMEDIES = {CRC_MISMATCH: 'check cable and ground',
+             INSUFFICIENT: 'check the cable, and that no console, login or other program writes '
+                           'to the port'}
+
+
+class _Rise:
+    """When a count rose last; known: what it was before, None: it is not known."""
+
+    def __init__(self, known: int | None = 0) -> None:
+        self._known = known
+        self._rose_at = -_REFUSED_FOR
+
+    def is_recent(self, count: int, now: int) -> bool:
+        """Take the count as it is now; tell whether it rose in the last 10 s."""
+        if self._known is not None and count > self._known:
+            self._rose_at = now
+        self._known = count
+        return now - self._rose_at < _REFUSED_FOR
+
+
 class McuLog:
     """Fed by the port's thread, emptied by the node's."""
 
     def __init__(self) -> None:
         self.reset()
-        self._refused_at: dict[str, int] = {}
-        self._drive_refused_at = -_REFUSED_FOR
+        self._refusals = {words: _Rise() for words in _REMEDIES}
+        self._drive_refusals = _Rise()
+        self._watchdog_stops = _Rise(None)          # those before the first report are not ours
         self._partial = b''
         self._kept: deque[str] = deque()
         self._skipped = 0
@@ -46,20 +67,17 @@ class McuLog:
         self._complained = -_GARBAGE_PERIOD
         self._report: McuReport | None = None
         self._reported_at = 0
-        self._known_stops: int | None = None        # those before the first report are not ours
-        self._stopped_at = -_REFUSED_FOR
 
     def reset(self) -> None:
         """Start all counts at 0."""
         self.bytes = 0
         self.lines = 0
         self.garbage_bytes = 0
-        self.refused = {CRC_MISMATCH: 0, INSUFFICIENT: 0}   # frames, as the MCU says
-        self._known_refused = dict(self.refused)
+        self.refused = dict.fromkeys(_REMEDIES, 0)      # frames, as the MCU says
         self._known_garbage = 0
         self.drives = 0             # frames sent that are not stops
         self._bad = 0               # frames, as its reports say
-        self._drives_before = self._refused_before = self._known_drive_refusals = 0
+        self._drives_before = self._refused_before = 0
 
     def feed(self, chunk: bytes, now: int = 0) -> None:
         """Take what came in."""
@@ -91,7 +109,7 @@ class McuLog:
         else:
             self._skipped += 1
 
-    def take(self, now: int) -> list[str]:
+    def take_lines(self, now: int) -> list[str]:
         """Return the lines since the last call, at most a few per second."""
         if now - self._taken < _SECOND:
             return []
@@ -110,19 +128,10 @@ class McuLog:
 
         `crc_input` is the value of the parameter that the bridge does not have now.
         """
-        for words, count in self.refused.items():
-            if count != self._known_refused[words]:
-                self._known_refused[words] = count
-                self._refused_at[words] = now
-        remedies = {
-            CRC_MISMATCH: 'check cable and ground',
-            INSUFFICIENT: 'check the cable, and that no console, login or other program writes '
-                          'to the port',
-        }
-        return self.refused_drives(now, crc_input) or [
-            *(f'the MCU refuses frames with "{words}"; {remedies[words]}'
-              for words, stamp in self._refused_at.items() if now - stamp < _REFUSED_FOR),
-            *self._report_complaints(now)]
+        refusals = [f'the MCU refuses frames with "{words}"; {_REMEDIES[words]}'
+                    for words, count in self.refused.items()
+                    if self._refusals[words].is_recent(count, now)]
+        return self.refused_drives(now, crc_input) or [*refusals, *self._report_complaints(now)]
 
     def refused_drives(self, now: int, crc_input: str) -> list[str]:
         """
@@ -132,15 +141,13 @@ class McuLog:
         accepted and no other frame.
         """
         refused = self.refused[CRC_MISMATCH] + self._bad
-        if refused != self._known_drive_refusals:
-            self._known_drive_refusals, self._drive_refused_at = refused, now
+        is_recent = self._drive_refusals.is_recent(refused, now)
         drives = self.drives - self._drives_before
         refused -= self._refused_before
         if drives > _DRIVES_KEPT:
             self._drives_before += drives // 2
             self._refused_before += refused // 2
-        if refused < _DRIVES_MIN or not 0 < drives < 2 * refused \
-                or now - self._drive_refused_at >= _REFUSED_FOR:
+        if refused < _DRIVES_MIN or not 0 < drives < 2 * refused or not is_recent:
             return []
         return ['the MCU refuses the commands to drive, so the rover does not move; set crc_input '
                 f'to {crc_input} if it accepts the stops, else check cable, ground and baud']
@@ -152,10 +159,7 @@ class McuLog:
         if report.version != VERSION:
             return [f'the receiver of the MCU has version {report.version}, this bridge reads '
                     f'version {VERSION}; put firmware/ of this release into the MCU']
-        if self._known_stops is not None and report.stops > self._known_stops:
-            self._stopped_at = now
-        self._known_stops = report.stops
-        if report.state != STOPPED and now - self._stopped_at >= _REFUSED_FOR:
+        if not self._watchdog_stops.is_recent(report.stops, now) and report.state != STOPPED:
             return []
         return ['the watchdog of the MCU stopped the rover, because no good frame came; check '
                 'cable and ground, and that resend_rate is 10 or more']

@@ -116,12 +116,12 @@ class Pacer:
         self._last_turn_at = now
         return self.step(now)
 
-    def offer(
+    def offer_command(
             self, velocity: Vel2d, now: int, *, waited: int = 0, stamp_age: int | None = None,
             acted: bool = False) -> Outcome:
         """Judge a command; a `step` after it writes it at once, if the rate allows."""
         self.notice_freeze(now, acted)
-        return self.gate.offer(velocity, now, waited=waited, stamp_age=stamp_age)
+        return self.gate.offer_command(velocity, now, waited=waited, stamp_age=stamp_age)
 
     def notice_freeze(self, now: int, acted: bool) -> None:
         """
@@ -177,9 +177,9 @@ class Pacer:
             self._refused_since = None
             self._last_written_at = end
             self._frame_under_way = True
-            self._took(frame, begin, end)
+            self._count_frame(frame, begin, end)
 
-    def _took(self, frame: Frame, begin: int, end: int) -> None:
+    def _count_frame(self, frame: Frame, begin: int, end: int) -> None:
         self.gate.sent(end)
         self.frames += 1
         latency = None if frame.offered is None else end - frame.offered

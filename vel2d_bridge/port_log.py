@@ -24,7 +24,7 @@ class PortLog:
     def __init__(self) -> None:
         self._kept: deque[PortError | None] = deque()
         self._left_out = 0
-        self._told = 0
+        self._reported = 0
 
     def add(self, problem: PortError | None) -> None:
         """Keep that the port was opened (None), or why it is not open."""
@@ -34,7 +34,7 @@ class PortLog:
                 self._left_out += 1
         self._kept.append(problem)
 
-    def take(self) -> Iterator[PortError | None]:
+    def take_changes(self) -> Iterator[PortError | None]:
         """Yield what was added and not taken yet, the oldest first."""
         with suppress(IndexError):              # none is left; another thread may take, too
             while True:
@@ -43,5 +43,5 @@ class PortLog:
     def left_out(self) -> int:
         """Return how many were left out since the last call."""
         left_out = self._left_out
-        new, self._told = left_out - self._told, left_out
+        new, self._reported = left_out - self._reported, left_out
         return new

@@ -22,9 +22,9 @@ class SelfPipe:
     def sleep(self, seconds: float) -> None:
         """Sleep so long, or until roused."""
         readable([self.fd], seconds)
-        self.swallow()
+        self.drain()
 
-    def swallow(self) -> None:
+    def drain(self) -> None:
         """Forget the calls up to now."""
         with suppress(BlockingIOError):
             os.read(self.fd, 4096)

@@ -19,7 +19,7 @@ from vel2d_bridge.deadman_server import NAME
 
 OUTLIVE_S = 1.0                    # for the dead man: its six zeros take 0.4 s
 _MACHINE_NAMESPACE = 0xEFFFFFFC    # the inode of the first PID namespace: PROC_PID_INIT_INO
-_LOOK_S = 0.1
+_CHECK_S = 0.1
 _FORWARDED = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP,
               signal.SIGCONT, signal.SIGUSR1, signal.SIGUSR2}
 
@@ -33,7 +33,7 @@ def supervise() -> int | None:
         return None
     rename_process(NAME)           # `pkill -f vel2d_bridge` is meant for the bridge
     signal.pthread_sigmask(signal.SIG_BLOCK, {*_FORWARDED, signal.SIGCHLD})
-    status = _accompany(bridge)
+    status = _await_bridge_end(bridge)
     if status != 0:
         time.sleep(OUTLIVE_S)
     code = os.waitstatus_to_exitcode(status)
@@ -46,10 +46,10 @@ def _is_needed() -> bool:
     return os.getppid() == 1 and os.stat('/proc/self/ns/pid').st_ino != _MACHINE_NAMESPACE
 
 
-def _accompany(bridge: int) -> int:
+def _await_bridge_end(bridge: int) -> int:
     """Forward signals and reap orphans until the bridge ends; return its wait status."""
     while True:
-        found = signal.sigtimedwait({*_FORWARDED, signal.SIGCHLD}, _LOOK_S)
+        found = signal.sigtimedwait({*_FORWARDED, signal.SIGCHLD}, _CHECK_S)
         if found is not None and found.si_signo != signal.SIGCHLD:
             with suppress(ProcessLookupError):
                 os.kill(bridge, found.si_signo)

@@ -9,7 +9,7 @@ import {id3, numberOf, splitUnit} from './format.js';
 import {makeFinding, showFinding, wasTrue} from './findings.js';
 import {showCrumbs} from './parts.js';
 import {path} from './place.js';
-import {Past} from './past.js';
+import {HistoryPanel} from './history_panel.js';
 import {Plot} from './plot.js';
 import {pathOfSignals} from './signals.js';
 import {deviceName, isQuiet, messageOf, saysMore, stateOf, wordOf} from './store.js';
@@ -47,7 +47,7 @@ export class DeviceView {
     this.errors = new ErrorList('Error history',
       {empty: 'None in the last 50 errors of this bus.', ofOne: true});
     this.siblings = h('ul', {class: 'siblings'});
-    this.past = new Past(name);
+    this.panel = new HistoryPanel(name);
     this.element = this.#lay();
   }
 
@@ -63,14 +63,14 @@ export class DeviceView {
       this.errors.element,
       h('section', {class: 'panel device-past'},
         h('h2', {}, h('a', {class: 'more', href: path('history', this.name)}, 'History')),
-        this.past.element));
+        this.panel.element));
   }
 
   get title() { return this.name; }
 
   close() {
     this.plot.close();
-    this.past.close();
+    this.panel.close();
   }
 
   up() {
@@ -100,7 +100,7 @@ export class DeviceView {
     this.group = store.groups().find((group) => group.devices.includes(device));
     const table = store.table?.name === this.name ? store.table : null;
     this.#head(device);
-    this.past.update(store);
+    this.panel.update(store);
     if (!device) return;
     this.plotted ??= firstPlot(table);
     set(this.fields.element, 'data-old', !device.live);

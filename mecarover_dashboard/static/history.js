@@ -4,7 +4,7 @@
 
 import {h} from './dom.js';
 import {showCrumbs} from './parts.js';
-import {Past} from './past.js';
+import {HistoryPanel} from './history_panel.js';
 import {keepFilters, path} from './place.js';
 
 export class HistoryView {
@@ -15,25 +15,25 @@ export class HistoryView {
       ? Number(filters.get(key)) : undefined;
     const [from, to] = [number('from'), number('to')];
     const time = from && to ? {from, to} : {from: number('last') ?? (name ? 3600 : 28800)};
-    this.past = new Past(this.name, {...time, kind: filters.get('kind') ?? ''},
+    this.panel = new HistoryPanel(this.name, {...time, kind: filters.get('kind') ?? ''},
       () => this.#keep());
     this.crumbs = h('nav', {class: 'crumbs', ariaLabel: 'Place'});
     this.element = h('div', {}, this.crumbs,
       h('h1', {tabindex: -1}, name ? name.replace(/^.*?: /, '') : 'History'),
-      h('section', {class: 'panel'}, this.past.element));
+      h('section', {class: 'panel'}, this.panel.element));
   }
 
   #keep() {
-    const {from, to, kind} = this.past;
+    const {from, to, kind} = this.panel;
     keepFilters(to === null ? {last: String(from), kind}
       : {from: String(from), to: String(to), kind});
   }
 
-  close() { this.past.close(); }
+  close() { this.panel.close(); }
 
   update(store) {
     showCrumbs(this.crumbs, [['Overview', path()],
       ['History', this.name ? path('history') : null], ...this.name ? [[this.name, null]] : []]);
-    this.past.update(store);
+    this.panel.update(store);
   }
 }

@@ -3,7 +3,7 @@
 // View 1: a bar with the worst state of the bridge and of each bus, a cell per device, the devices
 // with a problem, a tile per model.
 
-import {Beside} from './beside.js';
+import {OverviewSidebar} from './overview_sidebar.js';
 import {each, h, icon, say, set, setIcon} from './dom.js';
 import {id3, isolate, list, plural, short} from './format.js';
 import {path} from './place.js';
@@ -23,14 +23,14 @@ export class Overview {
     this.empty = h('div', {class: 'empty'});
     this.bridge = h('section', {class: 'bus'}, makeBar(path('bridge')));
     this.buses = h('div', {class: 'buses'});
-    this.beside = new Beside();
+    this.sidebar = new OverviewSidebar();
     this.element = h('div', {}, h('h1', {class: 'unseen', tabindex: -1}, 'Overview'), this.empty,
       h('div', {class: 'overview'},
-        h('div', {class: 'buses'}, this.bridge, this.buses, this.beside.below),
-        this.beside.element));
+        h('div', {class: 'buses'}, this.bridge, this.buses, this.sidebar.below),
+        this.sidebar.element));
   }
 
-  close() { this.beside.close(); }
+  close() { this.sidebar.close(); }
 
   update(store) {
     const groups = store.groups();
@@ -45,7 +45,7 @@ export class Overview {
       text: store.said(group.part)}));
     each(this.buses, shown, (group) => group.key, makeBus,
       (element, group) => updateBus(element, group, store));
-    this.beside.update(store, shown);
+    this.sidebar.update(store, shown);
   }
 }
 

@@ -18,15 +18,15 @@ from typing import Any
 import urllib.request
 
 from mecarover_fakes.demo.device_lines import DeviceLines
-from mecarover_fakes.demo.scenes import BOOKS
+from mecarover_fakes.demo.process_group import ProcessGroup
 from mecarover_fakes.demo.scenes import judge
-from mecarover_fakes.demo.scenes import judge_books
+from mecarover_fakes.demo.scenes import judge_missed
+from mecarover_fakes.demo.scenes import MISSED
 from mecarover_fakes.demo.scenes import Scene
 from mecarover_fakes.demo.scenes import SceneResult
 from mecarover_fakes.demo.scenes import SCENES
 from mecarover_fakes.demo.scenes import TakenSetPoint
 from mecarover_fakes.demo.scenes import TIME_OUT_BOUND_S
-from mecarover_fakes.demo.stage import Stage
 from mecarover_serial.node_command_line import no_ros
 from mecarover_serial.ros_domain import DEMOS
 from mecarover_serial.ros_domain import Domain
@@ -62,18 +62,18 @@ def _main(arguments: list[str]) -> int:
         raise OSError(f"other nodes run in ROS domain {domain}, and the demo's cmd_vel could "
                       'drive a rover; end them, or wait 20 s if they were killed')
     print(f'demo: to see its topics: export ROS_DOMAIN_ID={domain}', flush=True)
-    with tempfile.TemporaryDirectory(prefix='mecarover-') as folder, Stage() as stage:
-        show = Show(stage, operator, folder, _page_port(domain))
+    with tempfile.TemporaryDirectory(prefix='mecarover-') as folder, ProcessGroup() as group:
+        demo = DemoRun(group, operator, folder, _page_port(domain))
         try:
-            verdicts = show.run(options.seconds)
+            verdicts = demo.run(options.seconds)
         except KeyboardInterrupt:
-            verdicts = show.verdicts
+            verdicts = demo.verdicts
         finally:
             operator.close()
-        stage.close()
-        verdicts.append(show.compare_books())
-        verdicts += [SceneResult(actor.name, actor.exit_code == 0, f'ended with {actor.exit_code}')
-                     for actor in reversed(stage.actors)]
+        group.close()
+        verdicts.append(demo.compare_missed())
+        verdicts += [SceneResult(one.name, one.exit_code == 0, f'ended with {one.exit_code}')
+                     for one in reversed(group.processes)]
     return _conclude(verdicts)
 
 
@@ -85,10 +85,10 @@ def _conclude(verdicts: list[SceneResult]) -> int:
     return COULD_NOT_RUN if failed else 0
 
 
-class Show:
+class DemoRun:
     """One run of the demo."""
 
-    def __init__(self, stage: Stage, operator: Any, folder: str, page_port: str) -> None:
+    def __init__(self, group: ProcessGroup, operator: Any, folder: str, page_port: str) -> None:
         self.verdicts: list[SceneResult] = []
         self._operator = operator
         self._set_points: list[TakenSetPoint] = []
@@ -96,17 +96,17 @@ class Show:
         mcu = os.path.join(folder, 'mcu')
         bus = os.path.join(folder, 'bus')
         print(f'demo: fake MCU on {mcu}, fake Dynamixel bus on {bus}', flush=True)
-        self._mcu = stage.start('mecarover_fakes.fake_mcu', '--link', mcu, '--json')
-        self._bridge = stage.start('vel2d_bridge.main', '--ros-args', '-p', f'port:={mcu}')
+        self._mcu = group.start('mecarover_fakes.fake_mcu', '--link', mcu, '--json')
+        self._bridge = group.start('vel2d_bridge.main', '--ros-args', '-p', f'port:={mcu}')
         self._devices = DeviceLines(operator.state)
-        self._stage = stage
-        self._books = os.path.join(folder, 'books.json')
+        self._group = group
+        self._truth = os.path.join(folder, 'truth.json')
         devices = ','.join(DEVICES)
-        stage.start('mecarover_fakes.fake_bus', '--link', bus, '--devices', devices, '--fault',
-                    f'silent:{SILENT_ID}:{SILENT_AT_S}:{SILENT_FOR_S}', '--truth', self._books)
-        stage.start('dxl_monitor.start', '--ros-args', '-p', f'ports:={bus}', '-p',
+        group.start('mecarover_fakes.fake_bus', '--link', bus, '--devices', devices, '--fault',
+                    f'silent:{SILENT_ID}:{SILENT_AT_S}:{SILENT_FOR_S}', '--truth', self._truth)
+        group.start('dxl_monitor.start', '--ros-args', '-p', f'ports:={bus}', '-p',
                     f'devices:={list(DEVICES)}')
-        self._dashboard = stage.start('mecarover_dashboard.serve', '--port', page_port,
+        self._dashboard = group.start('mecarover_dashboard.serve', '--port', page_port,
                                         '--history', 'none')
 
     def run(self, seconds: float | None) -> list[SceneResult]:
@@ -123,15 +123,15 @@ class Show:
         self.verdicts += self._devices.verdicts(SILENT_ID)
         return self.verdicts
 
-    def compare_books(self) -> SceneResult:
+    def compare_missed(self) -> SceneResult:
         """Compare what the monitor counted with what the fake bus, which has ended, knows."""
         try:
-            with open(self._books, encoding='utf-8') as file:
-                books = json.load(file)
+            with open(self._truth, encoding='utf-8') as file:
+                truth = json.load(file)
         except (OSError, ValueError) as error:
-            return SceneResult(BOOKS, False, f'the fake bus gave no counts: {error}')
-        verdict = judge_books(self._devices.missed(), books)
-        print(f'  {verdict.mark}  {BOOKS:24} {verdict.text}', flush=True)
+            return SceneResult(MISSED, False, f'the fake bus gave no counts: {error}')
+        verdict = judge_missed(self._devices.missed(), truth)
+        print(f'  {verdict.mark}  {MISSED:24} {verdict.text}', flush=True)
         return verdict
 
     def _await_ready(self, deadline: float) -> None:
@@ -139,9 +139,9 @@ class Show:
         while not (self._operator.is_heard() and self._devices.devices()):
             self._operator.command(STOP)
             self._operator.spin(COMMAND_PERIOD_S)
-            for actor in self._stage.actors:
-                if actor.exit_code is not None:
-                    raise OSError(f'{actor.name} ended: {" / ".join(list(actor.lines)[-3:])}')
+            for process in self._group.processes:
+                if process.exit_code is not None:
+                    raise OSError(f'{process.name} ended: {" / ".join(list(process.lines)[-3:])}')
             if time.monotonic() > deadline:
                 raise OSError(f'not ready after {READY_S:g} s; the computer may be too busy')
 

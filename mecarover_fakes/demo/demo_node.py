@@ -34,10 +34,10 @@ class Operator:
         self._forgotten_s = 0.0
         for topic in (OVERVIEW, TABLES):
             self._node.create_subscription(
-                DiagnosticArray, topic, partial(self._hear, topic), 50, raw=True)
+                DiagnosticArray, topic, partial(self._store_message, topic), 50, raw=True)
 
-    def _hear(self, topic: str, message: bytes) -> None:
-        self.state.take(topic, message, time.monotonic())
+    def _store_message(self, topic: str, message: bytes) -> None:
+        self.state.store_message(topic, message, time.monotonic())
 
     def is_heard(self) -> bool:
         """

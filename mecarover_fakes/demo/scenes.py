@@ -31,7 +31,7 @@ class Scene(NamedTuple):
     kill: bool = False
 
 
-BOOKS = 'missed answers'
+MISSED = 'missed answers'
 SCENES = (
     Scene('forward', 1.5, Vel2d(0.3, 0.0, 0.0)),
     Scene('strafe left', 1.5, Vel2d(0.0, 0.2, 0.0)),
@@ -98,21 +98,21 @@ def _judge_stillness(scene: Scene, begin: float, end: float,
     return SceneResult(scene.name, after <= TIME_OUT_BOUND_S, text)
 
 
-def judge_books(missed: Mapping[int, int], books: Mapping[str, Any]) -> SceneResult:
+def judge_missed(missed: Mapping[int, int], truth: Mapping[str, Any]) -> SceneResult:
     """
-    Judge the answers that the monitor calls missed, per device, by the fake bus' books.
+    Judge the answers that the monitor calls missed, per device, by the fake bus' truth.
 
     The monitor began later, so it may have seen fewer. Bytes that it did not fetch in time are
     lost as in a UART: then it is right to miss answers that were given.
     """
-    given = {int(number): known['missed'] for number, known in books['devices'].items()}
+    given = {int(number): known['missed'] for number, known in truth['devices'].items()}
     wrong = [f'{number:03}: {count} counted, {given.get(number, 0)} simulated'
              for number, count in missed.items() if count > given.get(number, 0)]
-    lost = books['totals']['bus']['overrun']
+    lost = truth['totals']['bus']['overrun']
     if wrong and lost:
-        return SceneResult(BOOKS, True, f'unknown: the busy computer lost {lost} bytes')
+        return SceneResult(MISSED, True, f'unknown: the busy computer lost {lost} bytes')
     text = '; '.join(wrong) or f'{sum(missed.values())} counted, {sum(given.values())} simulated'
-    return SceneResult(BOOKS, not wrong, text)
+    return SceneResult(MISSED, not wrong, text)
 
 
 def _close(one: Vel2d, other: Vel2d) -> bool:

@@ -89,8 +89,8 @@ def by_sides(burst, baud):
 
     What it writes is whole also where the wire damages it, and while it sends it hears nothing.
     """
-    yield from ((start, OUT, data) for start, data in burst.said)
-    deaf = [(start, start + wire_ns(len(data), baud)) for start, data in burst.said]
+    yield from ((start, OUT, data) for start, data in burst.written)
+    deaf = [(start, start + wire_ns(len(data), baud)) for start, data in burst.written]
     middles = (burst.start + wire_ns(2 * at + 1, 2 * baud) for at in range(len(burst.data)))
     heard = bytes(byte for byte, middle in zip(burst.data, middles, strict=True)
                   if not any(begin <= middle < end for begin, end in deaf))

@@ -63,7 +63,7 @@ def check(data):
         if script.byte() > 180:
             message = damaged(script, message)
         never_raises(message)
-        state.take(script.pick(TOPICS), message, now_s)
+        state.store_message(script.pick(TOPICS), message, now_s)
         last_word_counts(state, message)
         now_s += script.pick((0.0, 0.1, 1.0, 5.0, 100.0))
         state.expire(now_s)
@@ -73,7 +73,7 @@ def check(data):
     page.poll()
     page.has_all()
     if is_flood:
-        state.take(TOPICS[0], flood(), now_s)
+        state.store_message(TOPICS[0], flood(), now_s)
     bounded(state)
     who_is_ours(data)
 

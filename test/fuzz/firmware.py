@@ -51,7 +51,7 @@ def verdicts(reader, what, ms, data):
         _, x, y, omega = reader.wheels              # mm/s
         return [(b'W', ms, struct.pack('<3d2I', x / 1000, y / 1000, omega,
                                        STATES.index(reader.state), reader.totals.stops))]
-    return [(b'T', ms, reader.says(ms * MS).encode())]
+    return [(b'T', ms, reader.text_to_host(ms * MS).encode())]
 
 
 def main():

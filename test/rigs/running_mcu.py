@@ -26,9 +26,9 @@ class RunningMcu(FakeMcu):
         self.set_points += taken
         return taken
 
-    def say(self, text):
+    def send_text(self, text):
         with self._lock:
-            super().say(text)
+            super().send_text(text)
 
     def vanish(self):
         with self._lock:

@@ -93,7 +93,7 @@ class Dashboard:
             data = cdr([(one.level[0], one.name, one.message, one.hardware_id,
                          [(pair.key, pair.value) for pair in one.values])
                         for one in message.status])
-            self.state.take(topic, data, now_s)
+            self.state.store_message(topic, data, now_s)
 
     def look(self, now_s):
         if not self.is_on:
@@ -107,10 +107,10 @@ class Dashboard:
         self.version = state.version
         exposition(state, 'application/openmetrics-text')
         with redirect_stdout(io.StringIO()) as shown:
-            self.terminal.look(now_s)
+            self.terminal.show_state(now_s)
         assert all(line.isprintable() for line in shown.getvalue().splitlines())
-        self.recorder.look(state, now_s, now_s + 1e9)
-        self.history.write(*self.recorder.taken())
+        self.recorder.sample_state(state, now_s, now_s + 1e9)
+        self.history.write(*self.recorder.take_batch())
         assert not state.malformed
 
     def remember(self):

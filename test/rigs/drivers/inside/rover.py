@@ -32,7 +32,7 @@ def main(port):
     link.start()
     while 'live' in wanted:
         if 'drive' in wanted:
-            link.offer(FORWARD)
+            link.offer_command(FORWARD)
         time.sleep(PERIOD_S)
     return 0 if link.close() else 1
 

@@ -15,7 +15,7 @@ const heading = (to, ...children) => h('a', {class: 'more', href: path(to)}, ...
 const panel = (kind, title, content) =>
   h('section', {class: `panel ${kind}`}, h('h2', {}, title), content);
 
-export class Beside {
+export class OverviewSidebar {
   constructor() {
     this.plot = new Plot('Bus load', 300);
     this.command = new Command();

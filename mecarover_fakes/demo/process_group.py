@@ -15,7 +15,7 @@ import time
 TIMEOUT_S = 5.0
 
 
-class Actor:
+class DemoProcess:
     """One process; what it prints is kept in `lines`, and `exit_code` is None while it runs."""
 
     def __init__(self, name: str, arguments: Sequence[str]) -> None:
@@ -65,18 +65,18 @@ class Actor:
         self._reader.join(1.0)
 
 
-class Stage(ExitStack):
+class ProcessGroup(ExitStack):
     """All processes of the demo; leaving it ends them in the reverse order of their start."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.actors: list[Actor] = []
+        self.processes: list[DemoProcess] = []
 
-    def start(self, module: str, *arguments: str) -> Actor:
+    def start(self, module: str, *arguments: str) -> DemoProcess:
         """Start a module of this package with the Python that runs us."""
         package, _, name = module.partition('.')
-        actor = Actor(name if package == 'mecarover_fakes' else package,
+        process = DemoProcess(name if package == 'mecarover_fakes' else package,
                       [sys.executable, '-m', module, *arguments])
-        self.callback(actor.end)
-        self.actors.append(actor)
-        return actor
+        self.callback(process.end)
+        self.processes.append(process)
+        return process

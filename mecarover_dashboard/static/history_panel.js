@@ -18,7 +18,7 @@ const LEAST_S = 60;
 const AROUND_S = 120;          // so much before and after an event its link shows
 const GAP = 'gap';
 
-export class Past {
+export class HistoryPanel {
   #plots = new Map();
   #asked = -Infinity;          // when, s of the page
   #answer = 0;                 // number of the question that is not answered yet
