@@ -375,7 +375,7 @@ OPENS = 'os.open(sys.argv[1], os.O_NOCTTY); print(flush=True)'
 
 def looked(inspection, opening, now_s):
     """Let an inspection look, and return what it complains of."""
-    inspection.look(opening, now_s)
+    inspection.inspect_if_due(opening, now_s)
     inspection._looked.wait()
     return inspection.complaints
 

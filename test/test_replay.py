@@ -67,7 +67,7 @@ def capture(chunks):
     file = io.BytesIO()
     writer = Writer(file, Moment(1_790_000_000 * SECOND, SECOND))
     for data, stamp in chunks:
-        writer.take(WIRE, Chunk(stamp, WIRE.name, data))
+        writer.write_chunk(WIRE, Chunk(stamp, WIRE.name, data))
     return file.getvalue()
 
 
@@ -101,12 +101,12 @@ class Collector:
         self.monitor = Monitor('bus', MODELS, Settings(baud=BAUD))
         self._last = 0
         self.fed = 0                    # bytes; the listener counts them before they are fed
-        self.listener = Listener(str(path), BAUD, self._hear, self.monitor.flush_if_idle)
+        self.listener = Listener(str(path), BAUD, self._feed, self.monitor.flush_if_idle)
 
-    def _hear(self, data, stamp):
-        self._last = stamp
-        self.monitor.feed(data, stamp)
-        self.fed += len(data)
+    def _feed(self, chunks):
+        self._last = chunks[-1].stamp
+        self.monitor.feed_chunks(chunks)
+        self.fed += sum(len(one.data) for one in chunks)
 
     def __enter__(self):
         self.listener.start()
@@ -156,8 +156,8 @@ def test_every_bus_has_its_pty(tmp_path):
     file = io.BytesIO()
     writer = Writer(file, Moment(1, 1))
     for number in range(3):
-        writer.take(Wire('left', BAUD), Chunk(10 + number, 'left', b'\x01'))
-        writer.take(Wire('right/arm', BAUD), Chunk(10 + number, 'right/arm', b'\x02\x03'))
+        writer.write_chunk(Wire('left', BAUD), Chunk(10 + number, 'left', b'\x01'))
+        writer.write_chunk(Wire('right/arm', BAUD), Chunk(10 + number, 'right/arm', b'\x02\x03'))
     path.write_bytes(file.getvalue())
     with Program(REPLAY, str(path), '--link', str(link), '--stay') as replay:
         replay.wait_for('waiting')

@@ -71,7 +71,7 @@ def captured(bus):
             data += encode(1, STATUS, bytes(5))
         noise = Random(number).randbytes(40)
         for name, part in ((f'{bus} answers', data), (f'{bus} noise', noise)):
-            writer.take(Wire(name, 1_000_000, port=bus),
+            writer.write_chunk(Wire(name, 1_000_000, port=bus),
                         Chunk(SECOND + number * SECOND // 10, name, part))
     writer.remark('\x1b[5m a remark')
     return file.getvalue() + b'\x1b[5m no line\n'

@@ -6,7 +6,6 @@ USB events to bytes with a side: real captures, all families of adapters, files 
 The real captures do not come from the authors of the decoders; tshark, if installed, is asked too.
 """
 
-from functools import partial
 import io
 import os
 from pathlib import Path
@@ -244,38 +243,6 @@ def test_idle_transfers_say_nothing():
     assert len(hear(events(whole + adapter.idle(BEGAN) * 3))) == len(hear(events(whole)))
 
 
-@pytest.mark.parametrize('family', FAMILIES)
-@given(chunks=CHUNKS, transfer_size=st.integers(1, 1200), data=st.data())
-@STEADY
-def test_the_short_way_through_the_stream_says_the_same(family, chunks, transfer_size, data):
-    """Records.events() with UsbPort.skim(), in pieces of any size, against one event at a time."""
-    adapter = FakeAdapter(family, transfer_size, has_events=data.draw(st.booleans()))
-    whole = bytearray(stream(adapter, chunks) + adapter.idle(BEGAN) + adapter.unplug(BEGAN))
-    head = len(adapter.plug(BEGAN))
-    for at in data.draw(st.lists(st.integers(head, len(whole) - 1), max_size=3)):
-        whole[at] ^= data.draw(st.sampled_from((1, 0x0E, 0x80)))
-    one, *_ = ports_in(events(bytes(whole[:head])))
-    place, kind = one.place, type(one.adapter)
-    size = FAMILIES[family].packet_size
-    slow, fast = UsbPort(place, kind(size)), UsbPort(place, kind(size))
-    expected = [one for event in Records().events(bytes(whole)) if (one := slow.take(event))]
-    records, found = Records(), []
-    borders = sorted(data.draw(st.lists(st.integers(0, len(whole)), max_size=8)))
-    for begin, end in zip([0, *borders], [*borders, len(whole)], strict=True):
-        for event in records.events(bytes(whole[begin:end]), partial(fast.skim, found=found)):
-            told = fast.take(event)
-            found += [] if told is None else [tuple(told)]
-    assert [(*one, [])[:4] for one in found] == [tuple(one) for one in expected]
-
-
-def test_nearly_all_of_a_real_capture_goes_the_short_way():
-    whole = (REAL / 'healthy.bin').read_bytes()
-    one, = ports_in(events(whole))
-    port, found = UsbPort(one.place, one.adapter), []
-    list(Records().events(whole, partial(port.skim, found=found)))
-    assert len(found) > 0.9 * len([heard for heard in hear(events(whole)) if heard.data])
-
-
 def test_port_is_known_without_its_descriptors():
     for family in FAMILIES:
         adapter = FakeAdapter(family, 1024)
@@ -377,9 +344,9 @@ def hear_all(data):
     """Read a file with any content, and hear every port."""
     found, _ = read(data)
     for one in ports_in(found):
-        port = UsbPort(one.place, one.adapter)
+        port = UsbPort(one.place, one.adapter, 'bus')
         for event in found:
-            port.take(event)
+            port.decode_event(event)
 
 
 @pytest.mark.parametrize('link', [LINUX, MMAPPED, USBPCAP])

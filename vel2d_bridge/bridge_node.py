@@ -254,7 +254,7 @@ class Bridge:
         self._notice_freeze()
         state = self._link.state()
         if state.is_open:
-            self._inspection.look(state.openings, time.monotonic())
+            self._inspection.inspect_if_due(state.openings, time.monotonic())
         self._subscriber.look()
         self._around = self._surroundings.complaints()
         self._write_logs()

@@ -35,9 +35,9 @@ from servobus.sources.tap_sender import OPENED
 PORT = re.compile(r'/dev/(?:(?!ttyprintk)tty[A-Za-z]\w*|rfcomm\d+|pts/\d+)')
 AT_ONCE_NS = 200_000               # between two calls: strace, not the program
 AWAY_NS = 500_000                  # who looks as often does not sleep
-TRACED_NS = 500_000                # strace took so long: worth an event
-LATE_NS = 20_000_000               # a write that takes longer has the time before its end
-DATA_LIMIT = 65_536                # bytes that strace prints of a call
+TRACED_MIN_NS = 500_000            # strace took so long: worth an event
+WRITE_LATE_NS = 20_000_000         # a write that takes longer has the time before its end
+PRINTED_MAX_BYTES = 65_536         # bytes that strace prints of a call
 _WRITES = frozenset(('write', 'pwrite64', 'writev', 'pwritev', 'pwritev2'))
 _READS = frozenset(('read', 'pread64', 'readv', 'preadv', 'preadv2'))
 _WAITS = frozenset(('poll', 'ppoll', 'select', 'pselect6'))
@@ -47,7 +47,7 @@ _OTHERS = ('open', 'openat', 'openat2', 'creat', 'close', 'dup', 'dup2', 'dup3',
 _DEADLY = 'SEGV,ABRT,BUS,ILL,FPE,SYS,TRAP,KILL,TERM,INT,HUP'        # else their end is not printed
 # -DDD: the program stays the child of who starts it; strace is out of the terminal's reach.
 # -I1: strace ends, and leaves the program alone, when its output has no reader.
-OPTIONS = ('-DDD', '-f', '-I1', '-q', '-y', '-v', '-xx', '-X', 'raw', '-s', str(DATA_LIMIT),
+OPTIONS = ('-DDD', '-f', '-I1', '-q', '-y', '-v', '-xx', '-X', 'raw', '-s', str(PRINTED_MAX_BYTES),
            '--absolute-timestamps=format:unix,precision:ns', '--relative-timestamps=ns',
            '--syscall-times=ns', '-e', 'signal=' + _DEADLY, '-e', 'trace=' + ','.join(
                f'?{name}' for name in (*sorted(_WRITES | _READS | _WAITS | _UNSEEN), *_OTHERS)))
@@ -117,9 +117,9 @@ class StraceParser:
             thread, second, part, seconds, nanoseconds = map(int, found.groups()[:5])
             self._now = self._now + seconds * 10**9 + nanoseconds if self._now \
                 else max(1, second * 10**9 + part + ahead)
-            yield from self._take(thread, found[6])
+            yield from self._parse_text(thread, found[6])
 
-    def _take(self, thread: int, text: bytes) -> PortEvents:
+    def _parse_text(self, thread: int, text: bytes) -> PortEvents:
         is_resumed = text.startswith(b'<... ')
         if is_resumed:
             begin = self._unfinished.pop(thread, b'')
@@ -167,7 +167,7 @@ class StraceParser:
         elif name in _UNSEEN and result > 0:
             yield PortEvent(end, port, LOST, value=1)
         elif name in _WRITES and result >= 0:
-            stamp = max(begin, end - LATE_NS)
+            stamp = max(begin, end - WRITE_LATE_NS)
             if took < AT_ONCE_NS:
                 stamp, self._short = end, _median(self._short, took)
             yield from self._rate(port, stamp)
@@ -202,7 +202,7 @@ class StraceParser:
         self._looked.pop(port, None)
         self._away.pop(port, None)
         self._traced[port] = self._traced.get(port, 0) + int(held)
-        if self._traced[port] >= TRACED_NS:
+        if self._traced[port] >= TRACED_MIN_NS:
             yield PortEvent(stamp, port, TRACED, value=self._traced.pop(port) // 1000)
 
     def _was_away(self, port: str, stamp: int, away: int) -> PortEvents:

@@ -13,40 +13,26 @@ from typing import NamedTuple
 
 from msg_defs.event import Change
 from msg_defs.event import Changes
+from msg_defs.event import Chunk
 from msg_defs.event import CLOSED
 from msg_defs.event import GONE
 from msg_defs.event import IN
 from msg_defs.event import LOST
 from msg_defs.event import NOT_SENT
 from msg_defs.event import OUT
-from msg_defs.event import UNKNOWN
 from servobus.sources.adapters import Adapter
 from servobus.sources.adapters import Setup
 from servobus.sources.usbmon import BULK
 from servobus.sources.usbmon import CONTROL
-from servobus.sources.usbmon import DONE
-from servobus.sources.usbmon import FRONT
-from servobus.sources.usbmon import HEADER_SIZE
 from servobus.sources.usbmon import INPUT
 from servobus.sources.usbmon import INTERRUPT
 from servobus.sources.usbmon import KILLED
-from servobus.sources.usbmon import SUBMITTED
 from servobus.sources.usbmon import UNPLUGGED
 from servobus.sources.usbmon import UsbEvent
-from servobus.sources.usbmon import what_key
 
-PENDING_LIMIT = 256                # transfers under way; a driver has 16 at most
+PENDING_TRANSFERS_MAX = 256        # transfers under way; a driver has 16 at most
 
-_TAKEN = 'taken'                   # the end of an output
-
-
-class Heard(NamedTuple):
-    """What one event said; stamp as of the event. data is of one side, or there is none."""
-
-    stamp: int
-    side: str
-    data: bytes
-    changes: Changes
+UNPLUGGED_CHANGE = Change(GONE, 1)
 
 
 class Place(NamedTuple):
@@ -64,95 +50,54 @@ class Place(NamedTuple):
 
 
 class UsbPort:
-    """The port at one place. Give it every event of the bus, or those of its device."""
+    """
+    The port at one place. Give it every event of the bus, or those of its device.
 
-    def __init__(self, place: Place, adapter: Adapter) -> None:
+    It makes chunks of `name`, with the stamps of the events.
+    """
+
+    def __init__(self, place: Place, adapter: Adapter, name: str) -> None:
         self.place = place
         self.adapter = adapter
-        self._bus, self._device = place.bus, place.device
+        self._name = name
         self._bulk = {place.bulk_in | INPUT: IN, place.bulk_out: OUT} if place.bulk_in else None
         self._setups: dict[int, bytes] = {}            # control transfers under way
         self._sizes: dict[int, int] = {}               # data on their way to the adapter
-        self._kinds = _kinds(place)
 
-    def skim(self, data: bytes, at: int, found: list[tuple[int, str, bytes]]) -> int:
-        """
-        Take the whole bulk transfers without a fault that begin here, as Records.events() asks.
-
-        Nearly all events are of that kind. found: gets stamp, side and bytes of each; take() says
-        the same of it.
-        """
-        unpack, kind_of, bare = FRONT.unpack_from, self._kinds.get, self.adapter.bare
-        size = len(data)
-        last = size - HEADER_SIZE
-        while at <= last:
-            number, kind, seconds, us, status, moved, kept = unpack(data, at)
-            side = kind_of(kind)
-            begin = at + HEADER_SIZE
-            end = begin + kept
-            if side is None or end > size or not 0 <= us < 1_000_000 or seconds < 0:
-                break
-            if side is _TAKEN:
-                if status or kept:
-                    break
-                self._sizes.pop(number, None)
-            elif kept != moved or (status and side is IN):
-                break
-            else:
-                line = bare(data[begin:end]) if side is IN else data[begin:end]
-                if line is None:
-                    break
-                if side is OUT:
-                    _remember(self._sizes, number, moved)
-                if line:
-                    found.append((seconds * 1_000_000_000 + us * 1000, side, line))
-            at = end
-        return at
-
-    def take(self, event: UsbEvent) -> Heard | None:
-        """Return what an event says about the port, None for nothing."""
-        if event.device != self._device or event.bus != self._bus:
-            return None
+    def decode_event(self, event: UsbEvent) -> list[Chunk]:
+        """Return what an event says about the port: bytes first, then changes."""
+        if (event.bus, event.device) != self.place[:2]:
+            return []
         if event.transfer == BULK:
-            return self._bulk_event(event)
+            return self._decode_bulk(event)
+        changes: Changes = []
         if event.transfer == CONTROL:
-            return self._heard(event, self._control(event))
-        if event.transfer == INTERRUPT and event.is_done:
-            return self._heard(event, self._interrupt(event))
-        return None
+            changes = self._control(event)
+        elif event.transfer == INTERRUPT and event.is_done:
+            changes = self.adapter.interrupt(event.data) if event.is_input else []
+            changes += _end_of(event)
+        return self._chunks(event, '', b'', changes)
 
-    def _bulk_event(self, event: UsbEvent) -> Heard | None:
+    def _decode_bulk(self, event: UsbEvent) -> list[Chunk]:
         if self._bulk is not None and event.endpoint not in self._bulk:
-            return None
+            return []
         if event.is_input:
             if not event.is_done:
-                return None
-            changes = self._cut(event)
-            if event.status:
-                changes += self._end_words(event)
-            data, more = self.adapter.received(event.data)
-            changes += more
-            return Heard(event.stamp, IN, data, changes) if data or changes else None
+                return []
+            data, changes = self.adapter.received(event.data)
+            return self._chunks(event, IN, data, _cut(event) + changes + _end_of(event))
         if not event.is_done:
             _remember(self._sizes, event.number, event.size)
-            return Heard(event.stamp, OUT, event.data, self._cut(event)) \
-                if event.data or event.size else None
+            return self._chunks(event, OUT, event.data, _cut(event))
         missing = self._sizes.pop(event.number, event.size) - event.size
         if not event.status:
-            return None
-        return self._heard(
-            event, [Change(NOT_SENT, missing)] * (missing > 0) + self._end_words(event))
+            return []
+        return self._chunks(event, '', b'',
+                            [Change(NOT_SENT, missing)] * (missing > 0) + _end_of(event))
 
-    @staticmethod
-    def _cut(event: UsbEvent) -> Changes:
-        missing = event.size - len(event.data)
-        return [Change(LOST, missing)] if missing > 0 else []
-
-    @staticmethod
-    def _end_words(event: UsbEvent) -> Changes:
-        if event.status in UNPLUGGED[:1]:
-            return [Change(GONE, 1)]
-        return [Change(CLOSED, 1)] if event.status in KILLED else []
+    def _chunks(self, event: UsbEvent, side: str, data: bytes, changes: Changes) -> list[Chunk]:
+        chunks = [Chunk(event.stamp, self._name, data, side)] if data else []
+        return chunks + [Chunk(event.stamp, self._name, change=change) for change in changes]
 
     def _control(self, event: UsbEvent) -> Changes:
         """Join a control transfer: the setup comes first, what the device answers at the end."""
@@ -165,33 +110,22 @@ class UsbPort:
             return []
         return self.adapter.control(Setup.of(packet), event.data)
 
-    def _interrupt(self, event: UsbEvent) -> Changes:
-        changes = self._end_words(event)
-        if event.is_input:
-            changes += self.adapter.interrupt(event.data)
-        return changes
 
-    @staticmethod
-    def _heard(event: UsbEvent, changes: Changes) -> Heard | None:
-        return Heard(event.stamp, UNKNOWN, b'', changes) if changes else None
+def _cut(event: UsbEvent) -> Changes:
+    """Return how many bytes a capture left out."""
+    missing = event.size - len(event.data)
+    return [Change(LOST, missing)] if missing > 0 else []
 
 
-def _kinds(place: Place) -> dict[int, str]:
-    """Return what events of a bulk transfer say, by the 8 bytes of their header that tell it."""
-    def key(kind: int, endpoint: int, data_flag: int) -> int:
-        return what_key(kind, endpoint, place.device, place.bus, data_flag)
-
-    kinds = {}
-    for number in (place.bulk_in,) if place.bulk_in else range(1, 16):
-        kinds[key(DONE, number | INPUT, 0)] = IN
-    for number in (place.bulk_out,) if place.bulk_in else range(1, 16):
-        kinds[key(SUBMITTED, number, 0)] = OUT
-        kinds[key(DONE, number, ord('>'))] = _TAKEN
-    return kinds
+def _end_of(event: UsbEvent) -> Changes:
+    """Return whether the port was closed or unplugged."""
+    if event.status in UNPLUGGED[:1]:
+        return [UNPLUGGED_CHANGE]
+    return [Change(CLOSED, 1)] if event.status in KILLED else []
 
 
 def _remember(memory: dict[int, bytes] | dict[int, int], number: int, what: object) -> None:
     """Keep something by the number of its transfer, and not more than can be under way."""
     memory[number] = what                              # type: ignore[assignment]
-    if len(memory) > PENDING_LIMIT:
+    if len(memory) > PENDING_TRANSFERS_MAX:
         del memory[next(iter(memory))]

@@ -37,9 +37,9 @@ class UsbFile(File):
         self._events = self._from_the_start()
         survey = Survey()
         for event in self._events:
-            survey.take(event)
+            survey.add_event(event)
         found = _chosen(name, survey.ports(), adapter, self._events.problems)
-        self._port = UsbPort(found.place, found.adapter)
+        self._port = UsbPort(found.place, found.adapter, self._bus)
         self.wires[self._bus] = Wire(self._bus, baud or 0, port=name)
 
     def _from_the_start(self) -> UsbEvents:
@@ -49,20 +49,15 @@ class UsbFile(File):
     def chunks(self) -> Iterator[Chunk | None]:
         """Yield what was heard, in the order of its stamps: those of the file, ns since 1970."""
         self._events = self._from_the_start()
-        bus, newest = self._bus, 0
+        newest = 0
         for event in self._events:
-            heard = self._port.take(event)
-            if heard is None:
-                continue
-            if heard.stamp < STAMP_END:        # else the file is damaged
-                newest = max(newest, heard.stamp)
-            if not self.began.stamp:
-                self.began = Moment(newest, newest)
-            if heard.data:
-                yield Chunk(newest, bus, heard.data, heard.side)
-            for change in heard.changes:
-                if change.what != BAUD or self._baud is None:
-                    yield Chunk(newest, bus, change=change)
+            for chunk in self._port.decode_event(event):
+                if chunk.stamp < STAMP_END:        # else the file is damaged
+                    newest = max(newest, chunk.stamp)
+                if not self.began.stamp:
+                    self.began = Moment(newest, newest)
+                if not (self._baud and chunk.change and chunk.change.what == BAUD):
+                    yield chunk._replace(stamp=newest)
 
     def problems(self) -> list[str]:
         return [f'{self._name}: {problem}' for problem in self._events.problems]

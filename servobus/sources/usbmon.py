@@ -9,7 +9,6 @@ USBPcap capture format. What is not an event gives None; nothing here raises on 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from collections.abc import Iterator
 import struct
 from typing import Any
@@ -26,12 +25,11 @@ _SETUP_FLAGS = frozenset(b'\0-Z')
 HEADER_SIZE = 64
 OLD_HEADER_SIZE = 48
 SETUP_SIZE = 8
-DATA_LIMIT = 1 << 24               # bytes of one event; the kernel keeps less than 256 KiB
-_WHAT = 'BBBBHBB'                  # kind, transfer, endpoint, device, bus, two flags
-_HEADER = f'Q{_WHAT}qiiII8s'        # the first 48 bytes; 16 more follow in the newer form
+EVENT_MAX_BYTES = 1 << 24          # bytes of one event; the kernel keeps less than 256 KiB
+# Number, kind, transfer, endpoint, device, bus, two flags, seconds, us, status, size, kept bytes,
+# setup: the first 48 bytes; 16 more follow in the newer form.
+_HEADER = 'QBBBBHBBqiiII8s'
 _HEADERS = {'<': struct.Struct('<' + _HEADER), '>': struct.Struct('>' + _HEADER)}
-# The same up to the setup: number, what_key(), seconds, us, status, size, kept bytes.
-FRONT = struct.Struct('<QQqiiII')
 _PCAP_HEAD = struct.Struct('<HQIHBHHBBI')
 _SETUP_STAGE = 0
 _GONE = 0xC0007000                 # USBD_STATUS_DEVICE_GONE
@@ -77,12 +75,6 @@ def decode(packet: bytes, order: str = '<', header_size: int = HEADER_SIZE) -> U
     if fields[1] not in _KINDS or fields[2] > BULK:
         return None
     return _event(fields, packet[header_size:header_size + fields[12]])
-
-
-def what_key(kind: int, endpoint: int, device: int, bus: int, data_flag: int) -> int:
-    """Return the 8 bytes that say what an event of a bulk transfer is about, as FRONT has them."""
-    return int.from_bytes(struct.pack(f'<{_WHAT}', kind, BULK, endpoint, device, bus, ord('-'),
-                                      data_flag), 'little')
 
 
 def _event(fields: tuple[Any, ...], data: bytes) -> UsbEvent:
@@ -133,21 +125,13 @@ class Records:
         self.skipped = 0
         self.rest = b''            # begin of an event
 
-    def events(self, piece: bytes,
-               skim: Callable[[bytes, int], int] | None = None) -> Iterator[UsbEvent]:
-        """
-        Yield the events that this piece completes; to be used up.
-
-        skim: takes the events at a place that it can take faster, and returns where the first one
-        begins that it leaves.
-        """
+    def events(self, piece: bytes) -> Iterator[UsbEvent]:
+        """Yield the events that this piece completes; to be used up."""
         data = self.rest + piece if self.rest else piece
         at = 0
         unpack = _HEADERS['<'].unpack_from
         last = len(data) - HEADER_SIZE
         while at <= last:
-            if skim is not None and (at := skim(data, at)) > last:
-                break
             fields = unpack(data, at)
             if not _is_header(fields):
                 at += 1
@@ -172,5 +156,5 @@ def _is_header(fields: tuple[Any, ...]) -> bool:
      _) = fields
     return (kind in _KINDS and transfer <= BULK and device < 128
             and not endpoint & 0x70 and bus < 4096 and setup_flag in _SETUP_FLAGS
-            and seconds >= 0 and 0 <= us < 1_000_000 and kept <= DATA_LIMIT
+            and seconds >= 0 and 0 <= us < 1_000_000 and kept <= EVENT_MAX_BYTES
             and (kept <= size or transfer == ISO))

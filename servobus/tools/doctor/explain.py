@@ -19,8 +19,8 @@ from typing import NamedTuple
 import yaml
 
 _FILE = 'errors.yaml'
-_SHORTEST = 5                      # characters of a pasted part that may stand for a text
-_NEAR = 0.6                        # alike enough for a guess, 0 to 1
+_PART_MIN_LENGTH = 5               # characters of a pasted part that may stand for a text
+_LIKENESS_MIN = 0.6                # alike enough for a guess, 0 to 1
 _WIDTH = 80
 
 
@@ -64,7 +64,7 @@ def _place(one: Explanation, wanted: str) -> int | None:
         found = re.search('.*?'.join(map(re.escape, parts)), wanted)
         if found:
             places.append(found.start())
-        elif len(wanted) >= _SHORTEST and any(wanted in part for part in parts):
+        elif len(wanted) >= _PART_MIN_LENGTH and any(wanted in part for part in parts):
             places.append(0)
     return min(places, default=None)
 
@@ -74,7 +74,7 @@ def nearest(pasted: str) -> str:
     def likeness(text: str) -> float:
         return SequenceMatcher(None, _plain(text), _plain(pasted)).ratio()
     best = max((one.text for one in explanations()), key=likeness)
-    return best if likeness(best) >= _NEAR else ''
+    return best if likeness(best) >= _LIKENESS_MIN else ''
 
 
 def _plain(text: str) -> str:

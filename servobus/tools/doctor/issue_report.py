@@ -74,12 +74,12 @@ def new_names(buses: Sequence[BusSummary]) -> dict[str, str]:
     return {bus.report.name: f'bus{number}' for number, bus in enumerate(buses, 1)}
 
 
-def report(said: Verdict, buses: Sequence[BusSummary], seconds: float, maker: Maker,
+def report(verdict: Verdict, buses: Sequence[BusSummary], seconds: float, maker: Maker,
            capture: bytes) -> str:
-    """Return the text of a report; said and buses are those of the names in it."""
-    stored = {'verdict': said._asdict(), 'json': as_json(said, buses, seconds),
+    """Return the text of a report; verdict and buses are those of the names in it."""
+    stored = {'verdict': verdict._asdict(), 'json': as_json(verdict, buses, seconds),
               'devices': list(maker.devices), 'protocol': maker.protocol}
-    lines = [f'{REPORT} {VERSION}', *_ABOUT, '', *screen(said, height=1000), '', 'System:']
+    lines = [f'{REPORT} {VERSION}', *_ABOUT, '', *screen(verdict, height=1000), '', 'System:']
     lines += [f'  {printable(text)}' for text in (*maker.system, *maker.adapters, *maker.host)]
     for bus in buses:
         lines += ['', *_figures(bus)]

@@ -34,10 +34,10 @@ from servobus.tools.doctor.verdict import DeviceGroup
 from servobus.tools.doctor.verdict import Trouble
 from servobus.tools.doctor.verdict import Verdict
 
-SIZE_LIMIT = 16_000_000            # bytes that are read of a file, and of what is packed in it
-_BLOCK_LIMIT = 4_000_000           # bytes of one block of the capture, unpacked
+FILE_MAX_BYTES = 16_000_000        # bytes that are read of a file, and of what is packed in it
+_BLOCK_MAX_BYTES = 4_000_000       # bytes of one block of the capture, unpacked
 _HEAD_SIZE = 4096                  # a report begins within so much
-_TEXT_LIMIT, _LIST_LIMIT = 500, 300
+_TEXT_MAX_LENGTH, _LIST_MAX_LENGTH = 500, 300
 _PACKED: tuple[tuple[bytes, Callable[[io.BytesIO], Any]], ...] = (
     (b'\x1f\x8b\x08', lambda file: gzip.GzipFile(fileobj=file)), (b'BZh', bz2.BZ2File),
     (b'\xfd7zXZ', lzma.LZMAFile), (b'PK\x03\x04', lambda file: _first_of_zip(file)))
@@ -50,7 +50,7 @@ class SavedReport(NamedTuple):
     logged: each finding as (bus, rule, device): one by one, however the screen put them together.
     """
 
-    said: Verdict | None
+    verdict: Verdict | None
     as_json: dict[str, Any] | None
     logged: frozenset[tuple[str, str, str]] | None
     devices: tuple[str, ...]
@@ -63,7 +63,7 @@ class SavedReport(NamedTuple):
 def load(path: str) -> SavedReport | None:
     """Return the report in a file, None where it is something else; OSError as of open."""
     with open(path, 'rb') as file:
-        data = _unpacked(file.read(SIZE_LIMIT))
+        data = _unpacked(file.read(FILE_MAX_BYTES))
     begin = data.find(REPORT.encode(), 0, _HEAD_SIZE)
     if begin < 0:
         return None
@@ -90,7 +90,7 @@ def _unpacked(data: bytes) -> bytes:
             unpacked = bytearray()
             try:
                 with opener(io.BytesIO(data)) as file:
-                    while len(unpacked) < SIZE_LIMIT and (part := file.read1(1 << 16)):
+                    while len(unpacked) < FILE_MAX_BYTES and (part := file.read1(1 << 16)):
                         unpacked += part
             except (OSError, EOFError, ValueError, zlib.error, lzma.LZMAError,
                     zipfile.BadZipFile, NotImplementedError, RuntimeError):
@@ -134,11 +134,11 @@ def _capture(part: list[str]) -> tuple[bytes, int]:
             continue
         unpacker = zlib.decompressobj()
         try:
-            found += unpacker.decompress(b64decode(''.join(block.split())), _BLOCK_LIMIT)
+            found += unpacker.decompress(b64decode(''.join(block.split())), _BLOCK_MAX_BYTES)
             lost += not unpacker.eof
         except (Base64Error, ValueError, zlib.error):
             lost += 1
-        if len(found) > SIZE_LIMIT:
+        if len(found) > FILE_MAX_BYTES:
             break
     return bytes(found), lost
 
@@ -146,18 +146,18 @@ def _capture(part: list[str]) -> tuple[bytes, int]:
 # --- what was said then ----------------------------------------------------------------------
 
 def _verdict(stored: dict[str, Any]) -> Verdict | None:
-    said = stored.get('verdict')
-    if said is None:
+    verdict = stored.get('verdict')
+    if verdict is None:
         return None
     try:
         return Verdict(
-            _text(said['source']), tuple(_texts(said['head'])),
+            _text(verdict['source']), tuple(_texts(verdict['head'])),
             tuple(DeviceGroup(_text(who), _text(what), Level(level))
-                  for who, what, level in said['heard'][:_LIST_LIMIT]),
+                  for who, what, level in verdict['heard'][:_LIST_MAX_LENGTH]),
             tuple(Trouble(Level(level), _text(who), _text(rule), _text(message), _text(evidence))
-                  for level, who, rule, message, evidence in said['wrong'][:_LIST_LIMIT]),
-            tuple(_texts(said['unknown'])), tuple(_texts(said['quiet'])),
-            _text(said.get('protocol', '')), tuple(_texts(said.get('cycles'))))
+                  for level, who, rule, message, evidence in verdict['wrong'][:_LIST_MAX_LENGTH]),
+            tuple(_texts(verdict['unknown'])), tuple(_texts(verdict['quiet'])),
+            _text(verdict.get('protocol', '')), tuple(_texts(verdict.get('cycles'))))
     except (KeyError, TypeError, ValueError):
         return None
 
@@ -171,8 +171,8 @@ def _told(as_json: Any) -> frozenset[tuple[str, str, str]] | None:
 
 
 def _text(value: object) -> str:
-    return printable(str(value), _TEXT_LIMIT)
+    return printable(str(value), _TEXT_MAX_LENGTH)
 
 
 def _texts(values: object) -> list[str]:
-    return [_text(one) for one in values[:_LIST_LIMIT]] if isinstance(values, list) else []
+    return [_text(one) for one in values[:_LIST_MAX_LENGTH]] if isinstance(values, list) else []

@@ -43,7 +43,7 @@ PACKET = 'packet'
 DAMAGED = 'damaged'
 MISSED = 'missed'                  # an answer that did not come
 NOISE = 'noise'
-NOISE_TOLD = 4096                  # bytes without any packet, until that is worth an entry
+NOISE_ENTRY_BYTES = 4096           # bytes without any packet, until that is worth an entry
 NO_REQUEST = NO_PLAN.request
 
 _ABOUT_A_STATUS = (ev.UNASKED, ev.LATE, ev.SECOND_ANSWER, ev.WRONG_SIZE, ev.BAD_ID)
@@ -217,8 +217,9 @@ class Listing(BusDecoder):
         noise = self.total('noise_bytes')
         if self._noise_told < 0:
             self._noise_told = noise
-        elif noise - self._noise_told > NOISE_TOLD:
-            end = self.framers[side].bytes - NOISE_TOLD // 2       # the rest may become a packet
+        elif noise - self._noise_told > NOISE_ENTRY_BYTES:
+            # The rest may become a packet.
+            end = self.framers[side].bytes - NOISE_ENTRY_BYTES // 2
             self._on_entry(Entry(NOISE, stamp, data=self.framers[side].noise[-16:],
                                  length=noise - self._noise_told, side=side,
                                  before=self._tapes[side].cut(end, end)[0]))

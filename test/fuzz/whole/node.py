@@ -69,12 +69,7 @@ class FedListener(Listener):
             os.close(self._wake_write)
 
     def hear(self, one, stamp):
-        if one.change is not None:
-            self._on_change(one.change, stamp)
-        elif one.side:
-            self._hear_pieces([(one.data, stamp, one.side)])
-        else:
-            self._hear(one.data, stamp)
+        self._deliver(one._replace(stamp=stamp, bus=self._bus))
 
 
 class Dashboard:
