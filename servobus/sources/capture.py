@@ -259,7 +259,7 @@ def check_new(path: str | Path, is_ours: Callable[[str | Path], bool] | None = N
     """
     Raise ParameterError for what must not be written to.
 
-    That is a port, above all, and any file that is not a recording; is_ours: tells what is one.
+    That is a port, above all, and any file that is not a recording; is_ours: knows one.
     """
     try:
         status = os.stat(path)

@@ -109,7 +109,7 @@ def start(env: dict[str, str], name: str, folder: str, command: Sequence[str] = 
         paths = [part for path in sorted(ports()) for part in ('-P', path)]
         options = ['strace', *OPTIONS, *paths, '-o', fifo]
         if process:
-            options.remove(OPTIONS[0])         # the program is nobody's child here
+            options.remove(OPTIONS[0])         # the program is no child of ours
             child = subprocess.Popen([*options, '-p', str(process)], start_new_session=True)
         else:
             child = subprocess.Popen([*options, '--', *command], env=env, stdout=stdout)
@@ -130,7 +130,7 @@ def tracer(process: int | str) -> int:
     return int(text.partition('\n')[0] or 0)
 
 
-def doubts(process: int, used: set[str] | None = None) -> set[str]:
+def unheard(process: int, used: set[str] | None = None) -> set[str]:
     """
     Return what of a program and its children is not heard, or not as it should be.
 
@@ -145,13 +145,13 @@ def doubts(process: int, used: set[str] | None = None) -> set[str]:
             for file in (folder / 'fd').iterdir():
                 path = os.readlink(file)
                 if PORT.fullmatch(path):
-                    found |= _doubts_of_port(folder, int(file.name), path, used)
+                    found |= _unheard_on_port(folder, int(file.name), path, used)
                 elif used is None:
                     found |= {text for begin, text in _NOT_HEARD.items() if path.startswith(begin)}
     return found
 
 
-def _doubts_of_port(folder: Path, number: int, path: str, used: set[str] | None) -> set[str]:
+def _unheard_on_port(folder: Path, number: int, path: str, used: set[str] | None) -> set[str]:
     if number < 3 or path not in ports():      # a terminal
         return set()
     if used is not None:

@@ -29,8 +29,8 @@ AWAY_NS = 500_000                              # who looks as often does not sle
 _Method = Callable[..., Any]
 
 
-class _PortState:
-    """What is known of an open Serial; it has no reference to that, which would keep it open."""
+class _OpenSerial:
+    """What is known of a Serial; it has no reference to that, which would keep it open."""
 
     def __init__(self, number: int) -> None:
         self.number = number                   # for the sender
@@ -116,7 +116,7 @@ def _wrap_open(sender: Any, original: _Method) -> _Method:
     def open(self: Any, *args: Any, **kwargs: Any) -> Any:
         result = original(self, *args, **kwargs)
         with suppress(Exception):
-            self.__dict__[_STATE] = _PortState(sender.opened(str(self.port), int(self._baudrate)))
+            self.__dict__[_STATE] = _OpenSerial(sender.opened(str(self.port), int(self._baudrate)))
             sender.serials.add(self)
             _report_unread(sender, self)
         return result
@@ -171,7 +171,7 @@ def _wrap_fileno(sender: Any, original: _Method) -> _Method:
     return fileno
 
 
-def _report_vain(sender: Any, state: _PortState) -> None:
+def _report_vain(sender: Any, state: _OpenSerial) -> None:
     """Report for how long a port was not read since it was looked at in vain."""
     if state.vain_ns:
         sender.number('gave_up_us', state.number, (time.monotonic_ns() - state.vain_ns) // 1000)
@@ -240,7 +240,7 @@ def tapped(port: Any, sender: Any) -> Iterator[None]:
     kind = type(port)
     found = {name: one for base in reversed(kind.__mro__) for name, one in vars(base).items()}
     own = {name: wrap(sender, found[name]) for name, wrap in _WRAPPERS.items() if name in found}
-    port.__dict__[_STATE] = _PortState(sender.opened(str(port.port), int(port.baudrate)))
+    port.__dict__[_STATE] = _OpenSerial(sender.opened(str(port.port), int(port.baudrate)))
     port.__class__ = type(kind.__name__, (kind,), own)
     try:
         yield

@@ -186,7 +186,7 @@ class Sender:
         for reader in self._readers.values():
             reader.close()
         self._readers.clear()
-        self._missed: dict[str, int] = {}      # records, by readers whose connection was closed
+        self._missed: dict[str, int] = {}      # records, by reader with a closed connection
         self._looked = float('-inf')
         self._is_ending = False
         self._thread: threading.Thread | None = None

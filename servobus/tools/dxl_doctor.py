@@ -91,7 +91,7 @@ def _run(arguments: list[str]) -> int:
     if saved is not None:
         return _show_saved(saved, models, options)
     check_report(options.report)
-    return _Run(options, command, models, _flight_recorder(options, is_file)).run()
+    return _DoctorRun(options, command, models, _flight_recorder(options, is_file)).run()
 
 
 def _explain(pasted: str) -> int:
@@ -117,7 +117,7 @@ def _flight_recorder(options: argparse.Namespace, is_file: bool) -> FlightRecord
         raise UsageError(f'--{error}'.replace('_', '-', 1)) from error
 
 
-class _Run:
+class _DoctorRun:
     """A source that is listened to, and what is said of it at the end."""
 
     def __init__(self, options: argparse.Namespace, command: Sequence[str], models: Models,
@@ -209,7 +209,7 @@ class _Run:
             verdict = make_verdict(
                 shlex.join(self._command), buses, seconds, source.is_timed,
                 no_data.of_program(self._command, program.ports, ending) if is_quiet else (),
-                program.ports, ending.trouble(), ending.doubts())
+                program.ports, ending.trouble(), ending.unknowns())
             more = {'program': {'exit': ending.code, 'error': ending.error}}
         _print(verdict, as_json(verdict, buses, seconds) | more, self._options)
         return verdict

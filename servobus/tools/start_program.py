@@ -117,9 +117,9 @@ class StartedProgram:
                 time.sleep(WATCH_EVERY_S / JOIN_CHECKS)
                 self._join(strace)
             if self.way == TAP:
-                found = strace.doubts(self.child.pid, set(map(os.path.realpath, self._used())))
+                found = strace.unheard(self.child.pid, set(map(os.path.realpath, self._used())))
             else:
-                found = strace.doubts(self.child.pid) if strace.tracer(self.child.pid) \
+                found = strace.unheard(self.child.pid) if strace.tracer(self.child.pid) \
                     else {STOPPED}
             if self.child.returncode is not None:
                 return

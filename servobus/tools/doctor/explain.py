@@ -28,20 +28,18 @@ class Explanation(NamedTuple):
     """One text. findings: names of rules, the likeliest first; do: what else helps, or ''."""
 
     text: str
-    says: tuple[str, ...]
-    also: tuple[str, ...]
+    says: Sequence[str]
     means: str
-    findings: tuple[str, ...]
-    do: str
+    findings: Sequence[str]
+    also: Sequence[str] = ()
+    do: str = ''
 
 
 @cache
 def explanations() -> tuple[Explanation, ...]:
     """Return all texts, in the order of the file."""
     file = resources.files('servobus.tools.doctor') / _FILE
-    return tuple(Explanation(one['text'], tuple(one['says']), tuple(one.get('also', ())),
-                             one['means'], tuple(one['findings']), one.get('do', ''))
-                 for one in yaml.safe_load(file.read_text(encoding='utf-8')))
+    return tuple(Explanation(**one) for one in yaml.safe_load(file.read_text(encoding='utf-8')))
 
 
 def find(pasted: str) -> list[Explanation]:

@@ -99,7 +99,7 @@ class Ending(NamedTuple):
         return Trouble(Level.WARN, 'the program', '', f'it ended with {self.error}',
                        means[0].means if means else '')
 
-    def doubts(self) -> list[str]:
+    def unknowns(self) -> list[str]:
         """Return what is unknown of a program that ended with another error."""
         found = [*self.missed]
         if self.users:

@@ -80,7 +80,7 @@ def load(path: str) -> SavedReport | None:
     stored = stored or {}
     as_json = stored.get('json')
     return SavedReport(_verdict(stored), as_json if isinstance(as_json, dict) else None,
-                       _told(as_json), tuple(_texts(stored.get('devices'))),
+                       _logged_findings(as_json), tuple(_texts(stored.get('devices'))),
                        str(stored.get('protocol', '')), chunks, reader.wires, tuple(problems))
 
 
@@ -162,7 +162,7 @@ def _verdict(stored: dict[str, Any]) -> Verdict | None:
         return None
 
 
-def _told(as_json: Any) -> frozenset[tuple[str, str, str]] | None:
+def _logged_findings(as_json: Any) -> frozenset[tuple[str, str, str]] | None:
     try:
         return frozenset((str(bus['name']), str(finding['rule']), str(finding['device']))
                          for bus in as_json['buses'] for finding in bus['findings'])

@@ -79,13 +79,13 @@ class Verdict(NamedTuple):
 def make_verdict(source: str, buses: Sequence[BusSummary], seconds: float, is_timed: bool,
                  quiet: Sequence[str] = (), ports: Sequence[str] = (),
                  ended: Trouble | None = None,
-                 doubts: Sequence[str] = ()) -> Verdict:
+                 more_unknown: Sequence[str] = ()) -> Verdict:
     """
     Return what is said of a run of so many seconds; quiet: why nothing was heard, if so.
 
     Of a program: its ports, the error with which it ended, what is unknown of that.
     """
-    unknown = [*doubts, *([] if is_timed or quiet else [_UNTIMED])]
+    unknown = [*more_unknown, *([] if is_timed or quiet else [_UNTIMED])]
     for bus in buses:
         unknown += [f'{doubt.rule.replace("_", " ")}, {bus.who(doubt.device)}: {doubt.message}'
                     for doubt in bus.report.doubts if is_timed or doubt.rule not in NEEDS_TIMES]

@@ -234,11 +234,11 @@ class Session:
         if self._recording is not None and self._bytes and sys.stderr.isatty():
             print(f'dxl_dump: recorded {self._bytes} bytes of the bus to {self._options.write}',
                   file=sys.stderr)
-        for problem in [*self._doubts(reports), *self._source.problems(),
+        for problem in [*self._no_packet(reports), *self._source.problems(),
                         *self._models.problems]:
             print(f'dxl_dump: {printable(problem)}', file=sys.stderr)
 
-    def _doubts(self, reports: list[BusReport]) -> list[str]:
+    def _no_packet(self, reports: list[BusReport]) -> list[str]:
         """Ask about bytes without a single packet: of no bus, or heard at another rate."""
         if not self._bytes or any(report.counters['Packets'] for report in reports):
             return []
