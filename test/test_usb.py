@@ -6,6 +6,7 @@ USB events to bytes with a side: real captures, all families of adapters, files 
 The real captures do not come from the authors of the decoders; tshark, if installed, is asked too.
 """
 
+from functools import partial
 import io
 import os
 from pathlib import Path
@@ -241,6 +242,38 @@ def test_idle_transfers_say_nothing():
     adapter = FakeAdapter('ftdi')
     whole = stream(adapter, [(OUT, b'\xff\xff')])
     assert len(hear(events(whole + adapter.idle(BEGAN) * 3))) == len(hear(events(whole)))
+
+
+@pytest.mark.parametrize('family', FAMILIES)
+@given(chunks=CHUNKS, transfer_size=st.integers(1, 1200), data=st.data())
+@STEADY
+def test_the_short_way_through_the_stream_says_the_same(family, chunks, transfer_size, data):
+    """Records.events() with UsbPort.skim(), in pieces of any size, against one event at a time."""
+    adapter = FakeAdapter(family, transfer_size, has_events=data.draw(st.booleans()))
+    whole = bytearray(stream(adapter, chunks) + adapter.idle(BEGAN) + adapter.unplug(BEGAN))
+    head = len(adapter.plug(BEGAN))
+    for at in data.draw(st.lists(st.integers(head, len(whole) - 1), max_size=3)):
+        whole[at] ^= data.draw(st.sampled_from((1, 0x0E, 0x80)))
+    one, *_ = ports_in(events(bytes(whole[:head])))
+    place, kind = one.place, type(one.adapter)
+    size = FAMILIES[family].packet_size
+    slow, fast = (UsbPort(place, kind(size), 'bus') for _ in range(2))
+    expected = [one for event in Records().events(bytes(whole))
+                for one in slow.decode_event(event)]
+    records, found = Records(), []
+    borders = sorted(data.draw(st.lists(st.integers(0, len(whole)), max_size=8)))
+    for begin, end in zip([0, *borders], [*borders, len(whole)], strict=True):
+        for event in records.events(bytes(whole[begin:end]), partial(fast.skim, decoded=found)):
+            found += fast.decode_event(event)
+    assert found == expected
+
+
+def test_nearly_all_of_a_real_capture_goes_the_short_way():
+    whole = (REAL / 'healthy.bin').read_bytes()
+    one, = ports_in(events(whole))
+    port, found = UsbPort(one.place, one.adapter, 'bus'), []
+    list(Records().events(whole, partial(port.skim, decoded=found)))
+    assert len(found) > 0.9 * len([heard for heard in hear(events(whole)) if heard.data])
 
 
 def test_port_is_known_without_its_descriptors():

@@ -104,6 +104,10 @@ class Adapter:
         """Return the bytes of the line in one transfer to the host, and what else it says."""
         return data, []
 
+    def bare(self, data: bytes) -> bytes | None:
+        """Return what received() does where it has nothing else to say; None: ask that."""
+        return data
+
     def control(self, setup: Setup, data: bytes) -> Changes:
         """Return what a control transfer sets; data: what went with it in either direction."""
         return []
@@ -141,6 +145,12 @@ class Ftdi(Adapter):
         packets = [data[at:at + size] for at in range(0, len(data), size)]
         changes = [change for packet in packets for change in self._line(packet)]
         return b''.join([packet[self._STATUS_SIZE:] for packet in packets]), changes
+
+    def bare(self, data: bytes) -> bytes | None:
+        size = len(data)
+        if size > self.packet_size or (size > self._STATUS_SIZE and data[1] & 0x1E):
+            return None
+        return data[self._STATUS_SIZE:]
 
     def _line(self, packet: bytes) -> Changes:
         if len(packet) <= self._STATUS_SIZE or not packet[1] & 0x1E:
@@ -273,6 +283,9 @@ class Cp210x(Adapter):
         if request == 0x15:
             self._escape = bytes([value & 0xFF]) if value & 0xFF else b''
         return []
+
+    def bare(self, data: bytes) -> bytes | None:
+        return None if self._escape else data
 
     def received(self, data: bytes) -> tuple[bytes, Changes]:
         if not self._escape:

@@ -112,21 +112,26 @@ class UsbListener(Listener):
 
     def _decode_events(self, data: bytes, read_at: int) -> None:
         """Hand on what was read at this moment; the events have stamps of the wall-clock."""
-        to_monotonic = _to_monotonic()
-        decoded: list[Chunk] = []
-        for event in self._records.events(data):
+        chunks: list[Chunk] = []
+        skim = None
+        if self._usb is not None:
+            self._usb.later = _to_monotonic()
+            skim = partial(self._usb.skim, decoded=chunks)
+        for event in self._records.events(data, skim):
             usb = self._usb or self._find_port(event)
             if usb is not None:
-                decoded += usb.decode_event(event)
-                if decoded and decoded[-1].change == UNPLUGGED_CHANGE:
+                found = usb.decode_event(event)
+                self._follow_changes(found)
+                chunks += found
+                if found and found[-1].change == UNPLUGGED_CHANGE:
                     break
-        chunks = []
-        for stamp, bus, line, side, change in decoded:     # no time is before the one in front
-            self._newest = max(self._newest, min(read_at, stamp + to_monotonic))
-            chunks.append(Chunk(self._newest, bus, line, side, change))
+        for at, chunk in enumerate(chunks):    # no time is before the one in front
+            stamp = max(self._newest, min(read_at, chunk.stamp))
+            if stamp != chunk.stamp:
+                chunks[at] = chunk._replace(stamp=stamp)
+            self._newest = stamp
         if chunks:
             self._last = self._newest
-            self._follow_changes(chunks)
             self._deliver(*chunks)
             if chunks[-1].change == UNPLUGGED_CHANGE:
                 raise self._gone()
@@ -144,6 +149,7 @@ class UsbListener(Listener):
         self._survey.add_event(event)
         for one in self._survey.ports():
             self._usb = UsbPort(one.place, one.adapter, self._bus)
+            self._usb.later = _to_monotonic()
         return self._usb
 
     def _gone(self) -> PortError:

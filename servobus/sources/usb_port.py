@@ -20,19 +20,26 @@ from msg_defs.event import IN
 from msg_defs.event import LOST
 from msg_defs.event import NOT_SENT
 from msg_defs.event import OUT
+from msg_defs.event import UNKNOWN
 from servobus.sources.adapters import Adapter
 from servobus.sources.adapters import Setup
 from servobus.sources.usbmon import BULK
 from servobus.sources.usbmon import CONTROL
+from servobus.sources.usbmon import DONE
+from servobus.sources.usbmon import FRONT
+from servobus.sources.usbmon import HEADER_SIZE
 from servobus.sources.usbmon import INPUT
 from servobus.sources.usbmon import INTERRUPT
 from servobus.sources.usbmon import KILLED
+from servobus.sources.usbmon import SUBMITTED
 from servobus.sources.usbmon import UNPLUGGED
 from servobus.sources.usbmon import UsbEvent
+from servobus.sources.usbmon import what_key
 
 PENDING_TRANSFERS_MAX = 256        # transfers under way; a driver has 16 at most
 
 UNPLUGGED_CHANGE = Change(GONE, 1)
+_SENT = 'sent'                     # the end of an output
 
 
 class Place(NamedTuple):
@@ -53,51 +60,92 @@ class UsbPort:
     """
     The port at one place. Give it every event of the bus, or those of its device.
 
-    It makes chunks of `name`, with the stamps of the events.
+    It makes chunks of `name`, with the stamps of the events; `later`: ns to another clock.
     """
 
     def __init__(self, place: Place, adapter: Adapter, name: str) -> None:
         self.place = place
         self.adapter = adapter
         self._name = name
+        self.later = 0                                 # ns that are added to stamps
+        self._bus, self._device = place.bus, place.device
         self._bulk = {place.bulk_in | INPUT: IN, place.bulk_out: OUT} if place.bulk_in else None
         self._setups: dict[int, bytes] = {}            # control transfers under way
         self._sizes: dict[int, int] = {}               # data on their way to the adapter
+        self._kinds = _kinds(place)
+
+    def skim(self, data: bytes, at: int, decoded: list[Chunk]) -> int:
+        """
+        Decode the whole bulk transfers without a fault that begin here, for Records.events().
+
+        Nearly all events are of that kind: it takes a third of the time. decode_event() returns
+        the same chunks.
+        """
+        unpack, kind_of, bare = FRONT.unpack_from, self._kinds.get, self.adapter.bare
+        name, later = self._name, self.later
+        size = len(data)
+        last = size - HEADER_SIZE
+        while at <= last:
+            number, kind, seconds, us, status, moved, kept = unpack(data, at)
+            side = kind_of(kind)
+            begin = at + HEADER_SIZE
+            end = begin + kept
+            if side is None or end > size or not 0 <= us < 1_000_000 or seconds < 0:
+                break
+            if side is _SENT:
+                if status or kept:
+                    break
+                self._sizes.pop(number, None)
+            elif kept != moved or (status and side is IN):
+                break
+            else:
+                line = bare(data[begin:end]) if side is IN else data[begin:end]
+                if line is None:
+                    break
+                if side is OUT:
+                    _remember(self._sizes, number, moved)
+                if line:
+                    stamp = seconds * 1_000_000_000 + us * 1000 + later
+                    decoded.append(Chunk(stamp, name, line, side))
+            at = end
+        return at
 
     def decode_event(self, event: UsbEvent) -> list[Chunk]:
         """Return what an event says about the port: bytes first, then changes."""
-        if (event.bus, event.device) != self.place[:2]:
+        if event.device != self._device or event.bus != self._bus:
             return []
-        if event.transfer == BULK:
-            return self._decode_bulk(event)
         changes: Changes = []
-        if event.transfer == CONTROL:
+        data, side = b'', UNKNOWN
+        if event.transfer == BULK:
+            data, side, changes = self._bulk_data(event)
+        elif event.transfer == CONTROL:
             changes = self._control(event)
         elif event.transfer == INTERRUPT and event.is_done:
             changes = self.adapter.interrupt(event.data) if event.is_input else []
             changes += _end_of(event)
-        return self._chunks(event, '', b'', changes)
+        stamp = event.stamp + self.later
+        chunks = [Chunk(stamp, self._name, data, side)] if data else []
+        return chunks + [Chunk(stamp, self._name, change=change) for change in changes] \
+            if changes else chunks
 
-    def _decode_bulk(self, event: UsbEvent) -> list[Chunk]:
-        if self._bulk is not None and event.endpoint not in self._bulk:
-            return []
-        if event.is_input:
-            if not event.is_done:
-                return []
-            data, changes = self.adapter.received(event.data)
-            return self._chunks(event, IN, data, _cut(event) + changes + _end_of(event))
-        if not event.is_done:
-            _remember(self._sizes, event.number, event.size)
-            return self._chunks(event, OUT, event.data, _cut(event))
-        missing = self._sizes.pop(event.number, event.size) - event.size
-        if not event.status:
-            return []
-        return self._chunks(event, '', b'',
-                            [Change(NOT_SENT, missing)] * (missing > 0) + _end_of(event))
-
-    def _chunks(self, event: UsbEvent, side: str, data: bytes, changes: Changes) -> list[Chunk]:
-        chunks = [Chunk(event.stamp, self._name, data, side)] if data else []
-        return chunks + [Chunk(event.stamp, self._name, change=change) for change in changes]
+    def _bulk_data(self, event: UsbEvent) -> tuple[bytes, str, Changes]:
+        endpoint, is_done, status, number, _, data, size = event[3:4] + event[5:]
+        if self._bulk is not None and endpoint not in self._bulk:
+            return b'', UNKNOWN, []
+        if endpoint & INPUT:
+            if not is_done:
+                return b'', UNKNOWN, []
+            line, changes = self.adapter.received(data)
+            if status or len(data) < size:
+                changes = _cut(event) + changes + _end_of(event)
+            return line, IN, changes
+        if not is_done:
+            _remember(self._sizes, number, size)
+            return data, OUT, _cut(event) if len(data) < size else []
+        missing = self._sizes.pop(number, size) - size
+        if not status:
+            return b'', UNKNOWN, []
+        return b'', UNKNOWN, [Change(NOT_SENT, missing)] * (missing > 0) + _end_of(event)
 
     def _control(self, event: UsbEvent) -> Changes:
         """Join a control transfer: the setup comes first, what the device answers at the end."""
@@ -122,6 +170,20 @@ def _end_of(event: UsbEvent) -> Changes:
     if event.status in UNPLUGGED[:1]:
         return [UNPLUGGED_CHANGE]
     return [Change(CLOSED, 1)] if event.status in KILLED else []
+
+
+def _kinds(place: Place) -> dict[int, str]:
+    """Return what events of a bulk transfer say, by the 8 bytes of their header that tell it."""
+    def key(kind: int, endpoint: int, data_flag: int) -> int:
+        return what_key(kind, endpoint, place.device, place.bus, data_flag)
+
+    kinds = {}
+    for number in (place.bulk_in,) if place.bulk_in else range(1, 16):
+        kinds[key(DONE, number | INPUT, 0)] = IN
+    for number in (place.bulk_out,) if place.bulk_in else range(1, 16):
+        kinds[key(SUBMITTED, number, 0)] = OUT
+        kinds[key(DONE, number, ord('>'))] = _SENT
+    return kinds
 
 
 def _remember(memory: dict[int, bytes] | dict[int, int], number: int, what: object) -> None:
