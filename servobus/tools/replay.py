@@ -160,15 +160,19 @@ def _wires(options: argparse.Namespace) -> dict[str, Wire]:
         raise UsageError(f'{options.capture}: not a file, and a capture is read more than once; '
                          'give a file')
     source = open_file(options.capture, options.baud, options.adapter, tool='dxl_replay')
-    wires = dict(source.wires)
-    is_empty = next(_chunks(source, options.side), None) is None
-    source.close()
-    if is_capture(options.capture):
+    chunks = _chunks(source, options.side)
+    is_empty = next(chunks, None) is None
+    wires = source.wires
+    if is_capture(options.capture):            # its headers are enough
         with open(options.capture, 'rb') as file:
             reader = Reader(line for line in lines(file) if line.startswith(b'#'))
             list(reader)
         wires = {name: wire if options.baud is None else wire._replace(baud=options.baud)
                  for name, wire in reader.wires.items()}
+    else:
+        for _ in chunks:                       # in a pcap file a bus comes with its packets
+            pass
+    source.close()
     if is_empty:
         what = 'no bytes' if options.side is None else f'no bytes of --side {options.side}'
         raise UsageError(f'{options.capture}: it holds {what}; give another capture')
