@@ -46,7 +46,6 @@ from servobus.sources.capture import Writer
 from servobus.tools.doctor import explain
 from servobus.tools.doctor import issue_report
 from servobus.tools.doctor import no_data
-from servobus.tools.doctor import report_file
 from servobus.tools.doctor.answer_screen import screen
 from servobus.tools.doctor.error_window import ErrorWindow
 from servobus.tools.doctor.verdict import ERROR
@@ -541,7 +540,7 @@ def test_a_report_says_nothing_of_its_maker(reported):
     path, _ = reported
     readable, packed_part = path.read_text().split(issue_report.CAPTURE)
     assert len(packed_part) > 1000
-    stored = report_file.load(str(path))
+    stored = issue_report.load_report(str(path))
     text = readable + repr(stored.chunks) + repr(stored.wires)
     assert 'left_knee' in text
     for secret in ('secret', str(path.parent), socket.gethostname(), os.path.expanduser('~')):
@@ -562,14 +561,15 @@ PACKERS = {'gz': gzip.compress, 'bz2': bz2.compress, 'xz': lzma.compress}
 def test_a_packed_report_is_read(reported, packer):
     path, shown = reported
     path.write_bytes(PACKERS[packer](path.read_bytes()))
-    assert findings('\n'.join(screen(report_file.load(str(path)).verdict))) == findings(shown)
+    again = screen(issue_report.load_report(str(path)).verdict)
+    assert findings('\n'.join(again)) == findings(shown)
 
 
 def test_a_report_in_a_zip_is_read(reported, tmp_path):
     path, _ = reported
     with zipfile.ZipFile(tmp_path / 'report.zip', 'w') as file:
         file.write(path, 'report.txt')
-    assert report_file.load(str(tmp_path / 'report.zip')).verdict.code == ERROR
+    assert issue_report.load_report(str(tmp_path / 'report.zip')).verdict.code == ERROR
 
 
 def test_no_damage_to_a_report_raises(reported, tmp_path):
@@ -583,7 +583,7 @@ def test_no_damage_to_a_report_raises(reported, tmp_path):
             at = chance.randrange(len(wrong) + 1)
             wrong[at:at + chance.randrange(40)] = chance.randbytes(chance.randrange(40))
         broken.write_bytes(gzip.compress(wrong)[:-turn] if turn % 4 == 1 else wrong)
-        stored = report_file.load(str(broken))
+        stored = issue_report.load_report(str(broken))
         if stored is not None and stored.verdict is not None:
             screen(stored.verdict)
 
@@ -607,8 +607,8 @@ def test_a_report_overwrites_no_other_file(tmp_path):
 def test_a_report_gives_back_all_that_was_said(tmp_path):
     whole = said(heard('silent:4:2'))._replace(cycles=('50 Hz', 'a wait'), quiet=('no power',))
     maker = issue_report.Maker((), (), (), (), 'auto')
-    (tmp_path / 'report').write_text(issue_report.report(whole, [], 1.0, maker, b''))
-    assert report_file.load(str(tmp_path / 'report')).verdict == whole
+    (tmp_path / 'report').write_text(issue_report.make_report(whole, [], 1.0, maker, b''))
+    assert issue_report.load_report(str(tmp_path / 'report')).verdict == whole
 
 
 def test_a_chunk_larger_than_a_report_is_left_out():

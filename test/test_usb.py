@@ -48,9 +48,9 @@ from servobus.sources.adapters import Ftdi
 from servobus.sources.adapters import Setup
 from servobus.sources.adapters import UsbIdentity
 from servobus.sources.pcap import PcapReader
-from servobus.sources.usb_events import is_usb
-from servobus.sources.usb_events import UsbEvents
 from servobus.sources.usb_port import UsbPort
+from servobus.sources.usb_source import is_usb
+from servobus.sources.usb_source import UsbEvents
 from servobus.sources.usbmon import Records
 
 SESSIONS = ('healthy', 'missing', 'acm')

@@ -39,19 +39,19 @@ from servobus.tools.command_line import Parser
 from servobus.tools.doctor import explain
 from servobus.tools.doctor import machine
 from servobus.tools.doctor import no_data
-from servobus.tools.doctor import report_file
 from servobus.tools.doctor.answer_screen import HEIGHT
 from servobus.tools.doctor.answer_screen import screen
 from servobus.tools.doctor.answer_screen import WIDTH
 from servobus.tools.doctor.error_window import ErrorWindow
 from servobus.tools.doctor.issue_report import anonymous
 from servobus.tools.doctor.issue_report import check_report
+from servobus.tools.doctor.issue_report import load_report
+from servobus.tools.doctor.issue_report import make_report
 from servobus.tools.doctor.issue_report import Maker
 from servobus.tools.doctor.issue_report import new_names
 from servobus.tools.doctor.issue_report import NOTHING
-from servobus.tools.doctor.issue_report import report
+from servobus.tools.doctor.issue_report import SavedReport
 from servobus.tools.doctor.program import Program
-from servobus.tools.doctor.report_file import SavedReport
 from servobus.tools.doctor.verdict import as_json
 from servobus.tools.doctor.verdict import make_verdict
 from servobus.tools.doctor.verdict import Verdict
@@ -87,7 +87,7 @@ def _run(arguments: list[str]) -> int:
                          'python my_script.py')
     models = models_of(options)
     is_file = not command and os.path.isfile(options.source)
-    saved = report_file.load(options.source) if is_file else None
+    saved = load_report(options.source) if is_file else None
     if saved is not None:
         return _show_saved(saved, models, options)
     check_report(options.report)
@@ -225,7 +225,7 @@ class _DoctorRun:
         maker = Maker(machine.system(), machine.adapters(ports, options.with_host),
                       machine.host(options.source, self._command) if options.with_host else (),
                       options.devices, options.protocol)
-        text = report(verdict, shown, seconds, maker, self._window.capture(new_names(buses)))
+        text = make_report(verdict, shown, seconds, maker, self._window.capture(new_names(buses)))
         with open(options.report, 'w', encoding='utf-8') as file:
             file.write(text)
         print(f'dxl_doctor: the report is in {printable(options.report)}', file=sys.stderr)

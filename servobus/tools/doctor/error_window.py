@@ -8,13 +8,9 @@ Until something is wrong the newest are kept; then those that come for half of t
 
 from __future__ import annotations
 
-from base64 import b64encode
 from collections import deque
-from collections.abc import Iterator
 from collections.abc import Mapping
 import io
-import textwrap
-import zlib
 
 from msg_defs.event import Chunk
 from msg_defs.reports import Level
@@ -25,9 +21,7 @@ from servobus.sources.capture import Writer
 
 WINDOW_S = 30
 WINDOW_MAX_BYTES = 1_500_000       # bytes of the bus; as text in a report about half of that
-BLOCK_SIZE = 200_000               # text that is packed at once: damage costs one block
 _HALF_NS = WINDOW_S * 500_000_000
-_COLUMNS = 100
 
 
 class ErrorWindow:
@@ -63,11 +57,3 @@ class ErrorWindow:
             name = names.get(chunk.bus, 'bus')
             writer.write_chunk(wire._replace(name=name, port=''), chunk._replace(bus=name))
         return file.getvalue()
-
-
-def packed(capture: bytes) -> Iterator[str]:
-    """Yield a capture as lines of text, a blank line after each block of it."""
-    for at in range(0, len(capture), BLOCK_SIZE):
-        text = b64encode(zlib.compress(capture[at:at + BLOCK_SIZE], 9)).decode()
-        yield from textwrap.wrap(text, _COLUMNS)
-        yield ''
