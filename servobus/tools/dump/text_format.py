@@ -82,7 +82,7 @@ def answer_words(entry: Entry, parts: Sequence[Part], identity: PingAnswer | Non
     packet = entry.packet
     if packet is None:
         return ''
-    words = [text_of(note) for note in entry.notes]
+    words = [text_of(incident) for incident in entry.notes]
     if packet.error and not entry.blocks:
         words.append(error_words(packet.error))
     if identity is not None:
