@@ -223,7 +223,7 @@ class MonitorNode(Stoppable):
         reports = [(one, one.report(now)) for one in self._buses]
         if self._recorders.flight is not None:
             for one, report in reports:
-                self._recorders.flight.look(one.bus.name, report)
+                self._recorders.flight.record_report(one.bus.name, report)
             self._log_recorders()
         return [(one, report, one.port_state(complaints)) for one, report in reports]
 

@@ -26,8 +26,8 @@ from servobus.examination import REPORT_NS
 from servobus.sources.opening import open_file
 from servobus.sources.source import File
 from servobus.tools.doctor import no_data
+from servobus.tools.doctor.verdict import make_verdict
 from servobus.tools.doctor.verdict import Verdict
-from servobus.tools.doctor.verdict import verdict
 
 END = 1 << 64                       # a stamp after all others
 _MOST_EVENTS = 200
@@ -69,7 +69,7 @@ class RecordingRun(SourceRun):
         heard = Examination(self._models, self._options.devices, self._options.protocol)
         source = self._open()
         for chunk in filter(None, source.chunks()):
-            heard.take(chunk, source.wire(chunk.bus))
+            heard.feed_chunk(chunk, source.wire(chunk.bus))
         source.close()
         heard.finish(heard.last, is_over=True)
         found = [(round(one.first_s, 1), int(one.finding.level),
@@ -152,4 +152,4 @@ class RecordingRun(SourceRun):
         heard = self._survey
         if heard is None or not heard.bytes:
             return self._verdict(lambda: no_data.of_file(self.words))
-        return verdict(self.words, heard.buses(self.is_timed), heard.seconds, self.is_timed)
+        return make_verdict(self.words, heard.buses(self.is_timed), heard.seconds, self.is_timed)

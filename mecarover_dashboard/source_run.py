@@ -32,8 +32,8 @@ from servobus.sources.tap_reader import HOLD_S
 from servobus.status import PortState
 from servobus.tools.doctor import no_data
 from servobus.tools.doctor.program import Program
+from servobus.tools.doctor.verdict import make_verdict
 from servobus.tools.doctor.verdict import Verdict
-from servobus.tools.doctor.verdict import verdict
 from servobus.tools.run import models_of
 
 TURN_S = 0.1
@@ -95,7 +95,7 @@ class SourceRun:
         if bus is None:
             bus = self._heard[chunk.bus] = HeardBus(wire, self._models, self._options)
             self._feed.add(bus)
-        bus.monitor.take(chunk)
+        bus.monitor.feed_chunks([chunk])
 
     def end(self) -> Verdict:
         """Close the sources; return what dxl_doctor says of the run."""
@@ -104,7 +104,7 @@ class SourceRun:
     def _verdict(self, quiet: Callable[[], Sequence[str]]) -> Verdict:
         found = self._feed.summaries(self.is_timed)
         is_silent = not any(one.report.counters['Bytes'] for one in found)
-        return verdict(self.words, found, time.monotonic() - self._began_s, self.is_timed,
+        return make_verdict(self.words, found, time.monotonic() - self._began_s, self.is_timed,
                        quiet() if is_silent else ())
 
 

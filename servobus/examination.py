@@ -27,16 +27,16 @@ from servobus.sources.capture import Wire
 S = 1_000_000_000
 REPORT_NS = S // 2
 ARRIVAL_NS = S // 5                # a chunk may be handed over so long after its stamp
-TRAFFIC_S, SILENCE_S = 10.0, 5.0   # for a live source without --seconds
+ENOUGH_TRAFFIC_S, GIVE_UP_SILENCE_S = 10.0, 5.0   # for a live source without --seconds
 LONGEST_PAUSE_NS = 12 * S          # a file is silent for longer: passed over, all is forgotten
 
 
 class Watcher(Protocol):
     """Who has each chunk, and each report of each bus: a recorder."""
 
-    def take(self, wire: Wire, chunk: Chunk) -> None: ...
+    def record_chunk(self, wire: Wire, chunk: Chunk) -> None: ...
 
-    def look(self, bus: str, report: BusReport) -> None: ...
+    def record_report(self, bus: str, report: BusReport) -> None: ...
 
 
 class Examination:
@@ -54,14 +54,14 @@ class Examination:
         self._logs: dict[str, FindingLog] = {}
         self._due = 0
 
-    def take(self, chunk: Chunk, wire: Wire) -> None:
-        """Take a chunk of a bus; wire: what the source knows of that bus."""
+    def feed_chunk(self, chunk: Chunk, wire: Wire) -> None:
+        """Feed a chunk of a bus; wire: what the source knows of that bus."""
         self.pass_time(chunk.stamp)
         self._due = self._due or chunk.stamp + REPORT_NS
         for one in self._watchers:
-            one.take(wire, chunk)
+            one.record_chunk(wire, chunk)
         monitor = self._monitors.get(chunk.bus) or self._begin(chunk.bus, wire)
-        monitor.take(chunk)
+        monitor.feed_chunks([chunk])
         if chunk.change is not None:
             return
         self.first = self.first or chunk.stamp
@@ -75,20 +75,20 @@ class Examination:
         return self._monitors[bus]
 
     def pass_time(self, now: int) -> None:
-        """Look at every bus as often as is due until now."""
+        """Make the reports that are due until now."""
         if self._due and now - self._due > LONGEST_PAUSE_NS:
-            self._look(self._due)
+            self._report(self._due)
             self._due = now
         while self._due and self._due <= now:
-            self._look(self._due)
+            self._report(self._due)
             self._due += REPORT_NS
 
-    def _look(self, now: int) -> None:
+    def _report(self, now: int) -> None:
         for bus, monitor in self._monitors.items():
             report = monitor.report(now)
             self._logs[bus].take(report)
             for one in self._watchers:
-                one.look(bus, report)
+                one.record_report(bus, report)
 
     @property
     def seconds(self) -> float:
@@ -97,11 +97,11 @@ class Examination:
 
     def finish(self, now: int, is_over: bool, failed: str = '',
                users: Mapping[str, Sequence[str]] | None = None) -> None:
-        """Look for the last time; is_over: nothing more comes; failed, users: Monitor.end()."""
+        """Make the last reports; is_over: nothing more comes; failed, users: Monitor.end()."""
         if is_over:
             for bus, monitor in self._monitors.items():
                 monitor.end(now, failed, (users or {}).get(bus, ()))
-        self._look(now)
+        self._report(now)
 
     def summary(self) -> str:
         """Return what is heard at this moment, in a line."""

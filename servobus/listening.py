@@ -55,19 +55,19 @@ def listen(port: Any, *, baud: int | None = None, devices: Sequence[str] = (),
     """
     models = models or Models()
     check_models(parse_all(devices), models)
-    news = _News(on_finding)
-    examination = Examination(models, devices, protocol, [news])
+    calls = _FindingCalls(on_finding)
+    examination = Examination(models, devices, protocol, [calls])
     if isinstance(port, str):
-        return SourceListening(examination, news, open_source('servobus', port, baud))
+        return SourceListening(examination, calls, open_source('servobus', port, baud))
     if not all(hasattr(port, name) for name in ('read', 'write', 'baudrate', 'is_open')):
         raise UsageError(f'{type(port).__name__}: not a port of pyserial; give an open '
                          'serial.Serial, or the name of a source')
     if not port.is_open:
         raise UsageError(f'{port.port}: this port is not open; open it first')
-    return PortListening(examination, news, port, baud)
+    return PortListening(examination, calls, port, baud)
 
 
-class _News:
+class _FindingCalls:
     """A watcher that hands on each finding of WARN or above when it begins."""
 
     def __init__(self, on_finding: OnFinding | None) -> None:
@@ -75,10 +75,10 @@ class _News:
         self._on_finding = on_finding
         self._known: dict[str, set[tuple[str, int | None]]] = {}
 
-    def take(self, wire: Wire, chunk: Chunk) -> None:
+    def record_chunk(self, wire: Wire, chunk: Chunk) -> None:
         """Bytes are no news."""
 
-    def look(self, bus: str, report: BusReport) -> None:
+    def record_report(self, bus: str, report: BusReport) -> None:
         """Hand on what was not in the last report of this bus."""
         if self._on_finding is None:
             return
@@ -96,9 +96,9 @@ class _News:
 class Listening:
     """A bus that is listened to; it may be asked from any thread."""
 
-    def __init__(self, examination: Examination, news: _News) -> None:
+    def __init__(self, examination: Examination, calls: _FindingCalls) -> None:
         self._examination = examination
-        self._news = news
+        self._calls = calls
         self._lock = RLock()                   # on_finding may ask for reports
         self._stack = ExitStack()
 
@@ -117,15 +117,15 @@ class Listening:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
                  trace: TracebackType | None) -> None:
         self._stack.close()
-        if self._news.mistake is not None and kind is None:
-            raise self._news.mistake
+        if self._calls.mistake is not None and kind is None:
+            raise self._calls.mistake
 
 
 class SourceListening(Listening):
     """What comes from a source: a tap, a port of its own, or a recording."""
 
-    def __init__(self, examination: Examination, news: _News, source: Source) -> None:
-        super().__init__(examination, news)
+    def __init__(self, examination: Examination, calls: _FindingCalls, source: Source) -> None:
+        super().__init__(examination, calls)
         self._source = source
         self._stack.callback(source.close)
 
@@ -139,7 +139,7 @@ class SourceListening(Listening):
         for chunk in self._source.chunks():
             with self._lock:
                 if chunk is not None:
-                    self._examination.take(chunk, self._source.wire(chunk.bus))
+                    self._examination.feed_chunk(chunk, self._source.wire(chunk.bus))
                 elif self._source.is_live:
                     self._examination.pass_time(time.monotonic_ns())
             if until is not None and time.monotonic() >= until:
@@ -154,9 +154,9 @@ class SourceListening(Listening):
 class PortListening(Listening):
     """What a program exchanges through its own port of pyserial."""
 
-    def __init__(self, examination: Examination, news: _News, port: Any,
+    def __init__(self, examination: Examination, calls: _FindingCalls, port: Any,
                  baud: int | None) -> None:
-        super().__init__(examination, news)
+        super().__init__(examination, calls)
         self._port = port
         self._wire = Wire('', baud or int(port.baudrate), port=str(port.port))
         self.serials = set[Any]()              # for tap_pyserial: more ports are not its matter
@@ -194,4 +194,4 @@ class PortListening(Listening):
 
     def _accept(self, chunk: Chunk) -> None:
         with self._lock:
-            self._examination.take(chunk, self._wire)
+            self._examination.feed_chunk(chunk, self._wire)

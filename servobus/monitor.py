@@ -9,6 +9,7 @@ clock here measures how long a chunk takes.
 
 from collections import deque
 from collections.abc import Callable
+from collections.abc import Iterable
 from collections.abc import Sequence
 from operator import attrgetter
 from threading import Lock
@@ -18,7 +19,6 @@ from typing import NamedTuple
 
 from msg_defs.event import BREAK
 from msg_defs.event import Change
-from msg_defs.event import Chunk
 from msg_defs.event import CLOSED
 from msg_defs.event import FRAMING
 from msg_defs.event import OUT
@@ -57,10 +57,10 @@ _LINE_ERRORS = {OVERRUN: 'overrun', PARITY: 'parity', FRAMING: 'frame', BREAK: '
 WINDOW_S = 10
 _SERIES = ('time_per_buffer', 'ms'), ('time_between_buffers', 'ms'), ('bytes_per_buffer', 'B')
 TICK_NS = 1_000_000_000
-CYCLES_REPORTED = 32
-LAG_NS = 200_000_000               # bytes that were read may wait for so long to be fed
-SCAN = 8                           # IDs that do not answer a Ping: fewer may be lost devices
-DEAF_NS = 2_000_000_000            # a tap that listens says something far more often
+CYCLES_REPORTED_MAX = 32
+FEED_DELAY_NS = 200_000_000        # bytes that were read may wait for so long to be fed
+SCAN_MIN_IDS = 8                   # IDs that do not answer a Ping: fewer may be lost devices
+LISTENING_GAP_NS = 2_000_000_000   # a listener reports far more often
 
 
 class Activity(NamedTuple):
@@ -85,7 +85,7 @@ class Monitor:
     |---|---|
     | _fed, _last, _series | feed() |
     | _listened, _resumed | feed(), flush_if_idle(), report() where idle is not reported |
-    | _line_errors, _deaf, _failed, _users | change(), report(), end() |
+    | _line_errors, _deaf, _failed, _users | feed(), report(), end() |
     | _ticks, _next_tick, _noise_seen | feed() or report(), once a second |
     | _started, _base, doctor | reset_statistics() |
     | all others | set once |
@@ -103,8 +103,9 @@ class Monitor:
         self._names = names
         self.doctor = Doctor(settings, names)
         self._examining = Lock()               # the doctor remembers from report to report
-        self.decoder = said = decoder or BusDecoder(models, settings)
-        self._tracker, self._registry, self._evidence = said.tracker, said.registry, said.evidence
+        self.decoder = decoder or BusDecoder(models, settings)
+        self._tracker = self.decoder.tracker
+        self._registry, self._evidence = self.decoder.registry, self.decoder.evidence
         self.signals = BusSignals(self._registry, self._lock)
         self._line_errors: LineErrors | None = None    # reported by the source
         self._idle_is_told = idle_is_told
@@ -124,51 +125,39 @@ class Monitor:
 
         side: who put them on the wire, where the source can tell; then OUT is stamped as written.
         """
-        self.feed_pieces(((chunk, stamp, side),))
+        self.feed_chunks(((stamp, '', chunk, side, None),))
 
-    def feed_pieces(self, pieces: Sequence[tuple[bytes, int, str]]) -> None:
-        """Take what one read brought, in pieces with a stamp and a side each, as feed() does."""
-        said, clock, stamp = self.decoder, self._clock, 0
+    def feed_chunks(self, chunks: Iterable[tuple[int, str, bytes, str, Change | None]]) -> None:
+        """Take the Chunks that one read of a source brought: bytes as feed(), and changes."""
         with self._lock:
-            began = clock()
+            began = self._clock()
             before, fed = self._last, self._fed
-            spent, between, sizes = self._series
-            for chunk, stamp, side in pieces:
+            for stamp, _, data, side, change in chunks:
+                if change is not None:
+                    self._accept_change(change, stamp)
+                    continue
                 if self._idle_is_told:
                     self._listen_until(stamp)
                 else:
-                    on_wire_ns = 0 if side == OUT else int(len(chunk) * said.byte_ns)
-                    self._flush_if_idle(stamp - on_wire_ns)
+                    self._flush_if_idle(stamp if side == OUT else stamp - int(
+                        len(data) * self.decoder.byte_ns))
                 try:
-                    said.hear(chunk, stamp, side)
+                    self.decoder.hear(data, stamp, side)
                 except Exception as mistake:
-                    self._go_on(mistake)
-                self._fed += len(chunk)
+                    self._recover(mistake)
+                self._fed += len(data)
                 if stamp >= self._next_tick:
                     self._tick(stamp)
                 self._last = stamp
-            if before:
-                between.add((stamp - before) / 1e6, stamp)
-            sizes.add(float(self._fed - fed), stamp)       # sorted in faster than an int
-            spent.add((clock() - began) / 1e6, stamp)
+            if size := self._fed - fed:        # not changes alone
+                if before:
+                    self._between.add((stamp - before) / 1e6, stamp)
+                self._sizes.add(float(size), stamp)  # sorted in faster than an int
+                self._spent.add((self._clock() - began) / 1e6, stamp)
 
     def change(self, change: Change, stamp: int) -> None:
         """Take what the source reported besides bytes (msg_defs/event.py)."""
-        with self._lock:
-            field = _LINE_ERRORS.get(change.what)
-            if field is None:
-                self._try(self.decoder.change, change, stamp)
-            else:
-                before = self._line_errors or LineErrors()
-                self._line_errors = before._replace(
-                    **{field: getattr(before, field) + change.value})
-
-    def take(self, chunk: Chunk) -> None:
-        """Take what a source gives, bytes or a change."""
-        if chunk.change is None:
-            self.feed(chunk.data, chunk.stamp, chunk.side)
-        else:
-            self.change(chunk.change, chunk.stamp)
+        self.feed_chunks(((stamp, '', b'', UNKNOWN, change),))
 
     def end(self, now: int, failed: str = '', users: Sequence[str] = ()) -> None:
         """
@@ -212,7 +201,7 @@ class Monitor:
         self._load_models()
         with self._lock:
             if not self._idle_is_told:
-                self._flush_if_idle(now - LAG_NS)
+                self._flush_if_idle(now - FEED_DELAY_NS)
             if not (self._idle_is_told and is_listening):
                 self._listened = now
             self._deaf = self._deaf if is_listening else now
@@ -259,11 +248,11 @@ class Monitor:
         """Read the files of newly seen models: not under the lock, as that takes a while."""
         with self._lock:
             devices = list(self._registry.devices.values())
-            said = {model_key(device.identity[0] | device.identity[1] << 8, device.protocol)
+            keys = {model_key(device.identity[0] | device.identity[1] << 8, device.protocol)
                     for device in devices if device.is_unresolved}
             nameless = [(device, device.protocol, device.all_uses()) for device in devices
                         if device.used and device.heard and device.model_number is None]
-        for key in said:
+        for key in keys:
             self._models.get(key)
         layouts = [(device, self._layouts.of(speaks, used)) for device, speaks, used in nameless]
         with self._lock:
@@ -280,26 +269,35 @@ class Monitor:
         self._base['Bytes'] -= self._base.pop('Pending Bytes')     # these are counted again
         self._ticks: deque[tuple[int, Activity]] = deque(maxlen=WINDOW_S)
         self._series = [Series(WINDOW_S) for _ in _SERIES]
+        self._spent, self._between, self._sizes = self._series
         self.decoder.clock.reset()
 
     def _listen_until(self, now: int) -> None:
-        if self._listened and now - self._listened > DEAF_NS:
+        if self._listened and now - self._listened > LISTENING_GAP_NS:
             self._resumed = now
         self._listened = now
 
     def _flush_if_idle(self, now: int) -> None:
-        said = self.decoder
-        if self._last and now - self._last > said.idle_ns:
-            self._try(said.pause, self._last, now)
+        decoder = self.decoder
+        if self._last and now - self._last > decoder.idle_ns:
+            self._try(decoder.pause, self._last, now)
+
+    def _accept_change(self, change: Change, stamp: int) -> None:
+        field = _LINE_ERRORS.get(change.what)
+        if field is None:
+            self._try(self.decoder.change, change, stamp)
+        else:
+            before = self._line_errors or LineErrors()
+            self._line_errors = before._replace(**{field: getattr(before, field) + change.value})
 
     def _try(self, call: Callable[..., None], *arguments: Any) -> None:
         try:
             call(*arguments)
         except Exception as mistake:
-            self._go_on(mistake)
+            self._recover(mistake)
 
-    def _go_on(self, mistake: Exception) -> None:
-        """Hear what comes next after a mistake of ours; a tool that cannot write ends."""
+    def _recover(self, mistake: Exception) -> None:
+        """Go on with what comes next after a mistake of ours; a tool that cannot write ends."""
         if isinstance(mistake, OSError):
             raise mistake
         survive('the monitor', mistake)
@@ -313,12 +311,12 @@ class Monitor:
         self._started = self._started or now
         for device in self._registry.devices.values():
             device.tick()
-        said = self.decoder
-        noise_bytes = said.total('noise_bytes')
+        decoder = self.decoder
+        noise_bytes = decoder.total('noise_bytes')
         if self._ticks and noise_bytes != self._noise_seen:
-            self._evidence.look_at_noise(said.noise, noise_bytes - self._noise_seen, now)
+            self._evidence.look_at_noise(decoder.noise, noise_bytes - self._noise_seen, now)
         self._noise_seen = noise_bytes
-        said.clock.choose(self._tracker.planner.known.values(), now)
+        decoder.clock.choose(self._tracker.planner.known.values(), now)
         self._ticks.append((now, self._activity()))
 
     def _activity(self) -> Activity:
@@ -374,7 +372,7 @@ class Monitor:
         found = tuple(device.number for device in self._registry.devices.values()
                       if not (device.heard or device.expected or device.counts.reads
                               or device.counts.writes or device.acks_missing))
-        return found if len(found) >= SCAN else ()
+        return found if len(found) >= SCAN_MIN_IDS else ()
 
     def _metrics(self, now: int, rates: dict[str, float]) -> tuple[Metric, ...]:
         values = [('byte_rate', 'B/s', rates['bytes']), ('packet_rate', 'Hz', rates['packets']),
@@ -388,7 +386,7 @@ class Monitor:
 
 
 def _cycles(plans: list[Plan]) -> tuple[Cycle, ...]:
-    often = sorted(plans, key=attrgetter('asked'), reverse=True)[:CYCLES_REPORTED]
+    often = sorted(plans, key=attrgetter('asked'), reverse=True)[:CYCLES_REPORTED_MAX]
     return tuple(
         Cycle(plan.request.instruction, tuple(access.id for access in plan.request.accesses)
               or (plan.request.id,), plan.address if plan.address >= 0 else None,

@@ -7,9 +7,7 @@ from collections.abc import Sequence
 from functools import cached_property
 import time
 
-from msg_defs.event import Change
 from msg_defs.event import Chunk
-from msg_defs.event import UNKNOWN
 from msg_defs.reports import Pairs
 from msg_defs.reports import pairs
 from servobus.bus.report import BusReport
@@ -21,14 +19,14 @@ from servobus.port.inspection import Inspection
 from servobus.settings import Bus
 from servobus.sources.capture import Wire
 from servobus.sources.driver import adapter
-from servobus.sources.listener import TAKE_EVERY_S
+from servobus.sources.listener import RECORDS_EVERY_S
 from servobus.sources.listeners import listener_on
 from servobus.sources.recorders import Recorders
 from servobus.sources.source_name import is_live
 from servobus.status import PortState
 
-BEHIND_NS = 1_000_000_000   # after a freeze; else a listener is 0.3 s late at most
-PATIENCE_NS = 2_500_000_000     # longer is not a freeze: its reader hangs; a dashboard waits 4 s
+LATE_AFTER_NS = 1_000_000_000  # after a freeze; else a listener is 0.3 s late at most
+LATE_PATIENCE_NS = 2_500_000_000  # longer is not a freeze: its reader hangs; a dashboard waits 4 s
 
 
 def _time_of_day(stamp: int) -> str:
@@ -51,10 +49,9 @@ class MonitoredBus:
         self._inspection = None if is_live(bus.port) else Inspection(bus.port, [])
         self.listener = listener_on(
             bus.port, bus.settings.baud,
-            self._record_and_feed if recorders else self.monitor.feed,
-            self.monitor.flush_if_idle, on_change=self._change,
-            on_pieces=None if recorders else self.monitor.feed_pieces,
-            take_every_s=min(TAKE_EVERY_S, 0.5 / (joint_state_rate or 1.0)))
+            self._record_and_feed if recorders else self.monitor.feed_chunks,
+            self.monitor.flush_if_idle, bus=bus.name,
+            records_every_s=min(RECORDS_EVERY_S, 0.5 / (joint_state_rate or 1.0)))
 
     @cached_property
     def _wire(self) -> Wire:
@@ -62,23 +59,18 @@ class MonitoredBus:
         return Wire(self.bus.name, self.bus.settings.baud, self.listener.latency_timer_ms or 0,
                     self.bus.port)
 
-    def _record_and_feed(self, chunk: bytes, stamp: int, side: str = UNKNOWN) -> None:
-        self._take(Chunk(stamp, self.bus.name, chunk, side))
-
-    def _change(self, change: Change, stamp: int) -> None:
-        self._take(Chunk(stamp, self.bus.name, change=change))
-
-    def _take(self, chunk: Chunk) -> None:
-        self._recorders.take(self._wire, chunk)
-        self.monitor.take(chunk)
+    def _record_and_feed(self, chunks: Sequence[Chunk]) -> None:
+        for chunk in chunks:
+            self._recorders.record_chunk(self._wire, chunk)
+        self.monitor.feed_chunks(chunks)
 
     def is_late(self, now: int) -> bool:
         """Return whether a report must wait, because what came is still to be read."""
-        if not self.listener.state.is_open or now - self.listener.listened < BEHIND_NS:
+        if not self.listener.state.is_open or now - self.listener.listened < LATE_AFTER_NS:
             self._behind_since = 0
             return False
         self._behind_since = self._behind_since or now
-        return now - self._behind_since < PATIENCE_NS
+        return now - self._behind_since < LATE_PATIENCE_NS
 
     def report(self, now: int) -> BusReport:
         """Return what is known; what the adapter delays is not silence."""
@@ -115,7 +107,7 @@ class MonitoredBus:
         """Return what disturbs the port while it is open: a login, a console."""
         if self._inspection is None or not self.listener.state.is_open:
             return []
-        self._inspection.look(self.listener.counters.openings, time.monotonic())
+        self._inspection.inspect_if_due(self.listener.counters.openings, time.monotonic())
         return self._inspection.complaints
 
     def _adapter(self, openings: int) -> Pairs:

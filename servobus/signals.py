@@ -64,7 +64,7 @@ class BusSignals:
         if rings and (recorder is None or recorder.device is not device):
             recorder = _DeviceSignals(device, rings, self._registry)
             self._recorders[device.number] = recorder
-            device.table.call(recorder.take)
+            device.table.call(recorder.record_span)
 
 
 class _DeviceSignals:
@@ -81,8 +81,8 @@ class _DeviceSignals:
         self._deciding: list[tuple[int, int]] = []
         self._spans: dict[Span, tuple[list[_Part], bool]] = {}
 
-    def take(self, span: Span, data: bytes, stamp: int, source: int) -> None:
-        """Take bytes of the table; called by it, for each span that was read or written."""
+    def record_span(self, span: Span, data: bytes, stamp: int, source: int) -> None:
+        """Record bytes of the table; called by it, for each span that was read or written."""
         if self.device.number != self._number:
             return                                  # it was given another ID
         self._resolve(self.device)

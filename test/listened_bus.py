@@ -28,7 +28,7 @@ class ListenedBus:
         self.devices = make_devices(list(entries), MODELS, BAUD, moving=False, dialect=dialect)
         self.bus = FakeBus(Master(make_line(self.devices, BAUD, dialect), none), tap=True)
         self.monitor = Monitor('bus', MODELS, settings, idle_is_told=True)
-        self.listener = Listener(self.bus.tap.path, BAUD, self.monitor.feed,
+        self.listener = Listener(self.bus.tap.path, BAUD, self.monitor.feed_chunks,
                                  self.monitor.flush_if_idle)
         self.listener.start()
         wait(lambda: self.listener.state.is_open)

@@ -25,7 +25,7 @@ from msg_defs.crc import crc32_mpeg2_words
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
-from servobus.port.inspection import EVERY_S
+from servobus.port.inspection import INSPECT_EVERY_S
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1)]
 TIME_OUT_BOUND = 0.5 + 2 / 20 + 0.05 + 0.3      # cmd_vel_timeout, resends, write_timeout, queue
@@ -86,7 +86,7 @@ def test_who_opens_the_port_beside_it_is_named_at_once(ros, graph, tmp_path):
         subprocess.run(['sh', '-c', 'echo AT > "$0"', mcu.path], check=True)
         running.wait_for('WARN', 'another program opened it for a moment')
         graph.wait_status(f'beside/{LINK}', 'open', level=0)
-        assert time.monotonic() - begin < EVERY_S / 1.5           # none of it by the poll
+        assert time.monotonic() - begin < INSPECT_EVERY_S / 1.5           # none of it by the poll
 
 
 @pytest.mark.parametrize('watchdog', [False, True])

@@ -16,9 +16,9 @@ from msg_defs.event import Chunk
 from servobus.errors import ParameterError
 from servobus.plain import printable
 from servobus.port.pty import Pty
-from servobus.sources.capture import BUSES_LIMIT
+from servobus.sources.capture import BUSES_MAX
 from servobus.sources.capture import chunk_line
-from servobus.sources.capture import LINE_LIMIT
+from servobus.sources.capture import LINE_MAX_BYTES
 from servobus.sources.capture import lines
 from servobus.sources.capture import Moment
 from servobus.sources.capture import open_new
@@ -35,7 +35,7 @@ def written(*chunks, wire=WIRE):
     file = io.BytesIO()
     writer = Writer(file, NOW)
     for chunk in chunks:
-        writer.take(wire._replace(name=chunk.bus), chunk)
+        writer.write_chunk(wire._replace(name=chunk.bus), chunk)
     assert writer.size == len(file.getvalue())
     return file.getvalue()
 
@@ -85,7 +85,7 @@ FAR = 400 * b'9'
     b'# dxl_capture 2 began 2026-13-21T14:13:20.0Z at 1.0',
     b'# dxl_capture 2 began 9999-12-31T23:59:59.999999Z at 1.0',
     b'# dxl_capture 2 began 2026-09-21T14:13:20.0Z at -1.0', b'\x1b[31mred\x1b[m',
-    b'(1.0) bus ' + b'f' * (LINE_LIMIT + 1)])
+    b'(1.0) bus ' + b'f' * (LINE_MAX_BYTES + 1)])
 def test_impossible_lines_are_told_and_left_out(line):
     text = written(Chunk(NOW.stamp + 5, 'bus', b'\x01')) + line + b'\n' \
         + chunk_line(Chunk(NOW.stamp + 6, 'bus', b'\x02'))
@@ -112,8 +112,8 @@ def test_a_capture_that_is_cut_off_says_so(cut):
 def test_a_capture_does_not_make_buses_without_end():
     text = b''.join(chunk_line(Chunk(5, f'bus{number}', b'\x01')) for number in range(1000))
     reader = Reader(lines(io.BytesIO(text)))
-    assert len(list(reader)) == BUSES_LIMIT
-    assert reader.bad_lines == 1000 - BUSES_LIMIT
+    assert len(list(reader)) == BUSES_MAX
+    assert reader.bad_lines == 1000 - BUSES_MAX
 
 
 @pytest.mark.parametrize(('wall', 'boot', 'after'), [
@@ -122,7 +122,7 @@ def test_a_capture_does_not_make_buses_without_end():
 def test_the_stamps_of_a_second_capture_go_on(wall, boot, after):
     first = written(Chunk(NOW.stamp + 1, 'bus', b'\x01'))
     file = io.BytesIO()
-    Writer(file, Moment(NOW.wall + wall, boot)).take(
+    Writer(file, Moment(NOW.wall + wall, boot)).write_chunk(
         WIRE, Chunk(boot + (2 if wall < 0 else 7), WIRE.name, b'\x02'))
     stamps = [chunk.stamp for chunk in Reader(io.BytesIO(first + file.getvalue()))]
     assert stamps == [NOW.stamp + 1, NOW.stamp + after]
@@ -154,7 +154,7 @@ def test_the_recorder_rotates_and_loses_nothing(tmp_path):
     recorder.start()
     sent = [Chunk(NOW.stamp + number, 'ttyUSB0', bytes([number])) for number in range(250)]
     for chunk in sent:
-        recorder.take(WIRE, Chunk(chunk.stamp, WIRE.name, chunk.data))
+        recorder.record_chunk(WIRE, Chunk(chunk.stamp, WIRE.name, chunk.data))
     recorder.stop()
     files = [tmp_path / name for name in ('bus.txt.3', 'bus.txt.2', 'bus.txt.1', 'bus.txt')]
     assert sorted(tmp_path.iterdir()) == sorted(files)
@@ -178,7 +178,7 @@ def test_what_was_heard_is_on_the_disk_soon(tmp_path):
     path = tmp_path / 'bus.txt'
     recorder = Recorder(str(path), 10**6, 2)
     recorder.start()
-    recorder.take(WIRE, Chunk(77, WIRE.name, b'\xab\xcd'))
+    recorder.record_chunk(WIRE, Chunk(77, WIRE.name, b'\xab\xcd'))
     wait(lambda: b'abcd' in path.read_bytes())
     recorder.stop()
 
@@ -186,10 +186,10 @@ def test_what_was_heard_is_on_the_disk_soon(tmp_path):
 def test_a_full_disk_ends_the_capture_and_is_told(tmp_path):
     recorder = Recorder('/dev/full', 10**6, 2)
     recorder.start()
-    recorder.take(WIRE, Chunk(1, WIRE.name, b'\x01' * 5000))
+    recorder.record_chunk(WIRE, Chunk(1, WIRE.name, b'\x01' * 5000))
     wait(lambda: recorder.problem)
     assert recorder.words.startswith('capture stopped: /dev/full: No space left on device; ')
-    recorder.take(WIRE, Chunk(2, WIRE.name, b'\x01'))
+    recorder.record_chunk(WIRE, Chunk(2, WIRE.name, b'\x01'))
     recorder.stop()
 
 
@@ -199,7 +199,7 @@ def test_a_file_that_may_not_grow_ends_the_capture(tmp_path):
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
     try:
         recorder.start()
-        recorder.take(WIRE, Chunk(1, WIRE.name, b'\x01' * 20_000))
+        recorder.record_chunk(WIRE, Chunk(1, WIRE.name, b'\x01' * 20_000))
         wait(lambda: recorder.problem)
         recorder.stop()
     finally:
@@ -208,11 +208,11 @@ def test_a_file_that_may_not_grow_ends_the_capture(tmp_path):
 
 
 def test_a_disk_that_stands_still_costs_bytes_and_says_so(tmp_path, monkeypatch):
-    monkeypatch.setattr('servobus.sources.capture_recorder.WAITING_LIMIT', 100)
+    monkeypatch.setattr('servobus.sources.capture_recorder.WAITING_MAX_BYTES', 100)
     path = tmp_path / 'bus.txt'
     recorder = Recorder(str(path), 10**6, 2, lambda: NOW)
     for number in range(20):
-        recorder.take(WIRE, Chunk(NOW.stamp + number, WIRE.name, bytes(10)))
+        recorder.record_chunk(WIRE, Chunk(NOW.stamp + number, WIRE.name, bytes(10)))
     recorder.start()
     recorder.stop()
     assert recorder.left_out == 90
@@ -241,8 +241,8 @@ def pipe(tmp_path):
 def test_a_pipe_is_not_rotated(tmp_path, pipe):
     path, reader = pipe
     recorder = Recorder(str(path), 1000, 2)
-    recorder.take(WIRE, Chunk(1, WIRE.name, bytes(1000)))
-    recorder.take(WIRE, Chunk(2, WIRE.name, bytes(1000)))
+    recorder.record_chunk(WIRE, Chunk(1, WIRE.name, bytes(1000)))
+    recorder.record_chunk(WIRE, Chunk(2, WIRE.name, bytes(1000)))
     recorder.start()
     recorder.stop()
     assert recorder.problem == ''
@@ -251,10 +251,10 @@ def test_a_pipe_is_not_rotated(tmp_path, pipe):
 
 
 def test_a_pipe_whose_reader_sleeps_does_not_hold_up_the_end(pipe, monkeypatch):
-    monkeypatch.setattr('servobus.sources.capture_recorder.STOP_S', 0.2)
+    monkeypatch.setattr('servobus.sources.capture_recorder.STOP_PATIENCE_S', 0.2)
     path, _ = pipe
     recorder = Recorder(str(path), 10**6, 2)
-    recorder.take(WIRE, Chunk(1, WIRE.name, bytes(200_000)))
+    recorder.record_chunk(WIRE, Chunk(1, WIRE.name, bytes(200_000)))
     recorder.start()
     recorder.stop()
     assert recorder.words == (f'capture stopped: {path}: no data could be written; what was not '

@@ -31,7 +31,7 @@ from servobus.monitor import Monitor
 from servobus.monitor import Settings
 from servobus.tools.doctor.answer_screen import screen
 from servobus.tools.doctor.verdict import as_json
-from servobus.tools.doctor.verdict import verdict
+from servobus.tools.doctor.verdict import make_verdict
 
 MODELS = Models()
 BAUD, BYTE_NS = 1_000_000, 10_000
@@ -236,7 +236,7 @@ def test_what_is_not_known_is_said(options, why):
     assert report.cycle.unknown == why
     assert report.cycle.cycle == pytest.approx(14.08, abs=0.1)
     assert not [one for one in report.metrics if one.name.startswith('cycle')]
-    said = verdict('x', [BusSummary.of('', report, FindingLog(), True)], 6.0, is_timed=True)
+    said = make_verdict('x', [BusSummary.of('', report, FindingLog(), True)], 6.0, is_timed=True)
     assert f'  14 ms a cycle; its parts are unknown: {why}' in screen(said)
 
 
@@ -253,7 +253,7 @@ def test_metrics_screen_and_json_say_the_same():
     assert mean.pop('cycle') == pytest.approx(sum(mean.values()))
     assert set(mean) == {'cycle_wire', 'cycle_device', 'cycle_waiting', 'cycle_program'}
     buses = [BusSummary.of('', report, FindingLog(), True)]
-    said = verdict('x', buses, 6.0, is_timed=True)
+    said = make_verdict('x', buses, 6.0, is_timed=True)
     line = '  39 ms a cycle: program 27, waiting for 003 7.9, devices 2.5, wire 1.6'
     assert line in screen(said)
     found = as_json(said, buses, 6.0)['buses'][0]['cycle']

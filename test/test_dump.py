@@ -95,7 +95,7 @@ def capture(path, chunks, bus='bus'):
     with open(path, 'wb') as file:
         writer = Writer(file, Moment(1_790_000_000 * SECOND, SECOND))
         for data, stamp in chunks:
-            writer.take(Wire(bus, BAUD), Chunk(stamp, bus, data))
+            writer.write_chunk(Wire(bus, BAUD), Chunk(stamp, bus, data))
     return path
 
 
@@ -363,7 +363,7 @@ def test_two_buses_in_one_capture(tmp_path):
         writer = Writer(file, Moment(SECOND, SECOND))
         for number in range(4):
             for bus, device in (('left', 1), ('right', 2)):
-                writer.take(Wire(bus, BAUD),
+                writer.write_chunk(Wire(bus, BAUD),
                             Chunk(SECOND * (number + 1), bus, encode(device, I.PING)))
     assert json.loads(dump(path, '--summary'))['missed'] == {'left/1': 3, 'right/2': 3}
     assert {(one['bus'], one['id']) for one in objects(path)} == {('left', 1), ('right', 2)}

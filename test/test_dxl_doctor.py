@@ -48,13 +48,12 @@ from servobus.sources.capture import Writer
 from servobus.tools.doctor import explain
 from servobus.tools.doctor import issue_report
 from servobus.tools.doctor import no_data
-from servobus.tools.doctor import report_file
 from servobus.tools.doctor.answer_screen import screen
 from servobus.tools.doctor.error_window import ErrorWindow
 from servobus.tools.doctor.program import Ending
 from servobus.tools.doctor.verdict import ERROR
+from servobus.tools.doctor.verdict import make_verdict
 from servobus.tools.doctor.verdict import NOTHING_HEARD
-from servobus.tools.doctor.verdict import verdict
 from servobus.tools.doctor.verdict import WARNING
 from servobus.tools.doctor.verdict import WELL
 
@@ -80,17 +79,17 @@ def said(chunks, devices=DEVICES, is_timed=True, wire=WIRE):
     """Return what dxl_doctor says of chunks."""
     examination = Examination(MODELS, devices)
     for chunk in chunks:
-        examination.take(chunk, wire)
+        examination.feed_chunk(chunk, wire)
     examination.finish(examination.last, is_over=True)
     why = [] if examination.bytes else no_data.of_file('bus.txt')
-    return verdict('bus.txt', examination.buses(is_timed), examination.seconds, is_timed, why)
+    return make_verdict('bus.txt', examination.buses(is_timed), examination.seconds, is_timed, why)
 
 
 def capture(path, *faults, seconds=6.0):
     with path.open('wb') as file:
         writer = Writer(file, Moment(1_790_000_000 * SECOND, SECOND))
         for chunk in heard(*faults, seconds=seconds):
-            writer.take(WIRE, Chunk(chunk.stamp, WIRE.name, chunk.data))
+            writer.write_chunk(WIRE, Chunk(chunk.stamp, WIRE.name, chunk.data))
     return path
 
 
@@ -575,7 +574,7 @@ def test_a_report_says_nothing_of_its_maker(reported):
     path, _ = reported
     readable, packed_part = path.read_text().split(issue_report.CAPTURE)
     assert len(packed_part) > 1000
-    stored = report_file.load(str(path))
+    stored = issue_report.load_report(str(path))
     text = readable + repr(stored.chunks) + repr(stored.wires)
     assert 'left_knee' in text
     for secret in ('secret', str(path.parent), socket.gethostname(), os.path.expanduser('~')):
@@ -596,14 +595,15 @@ PACKERS = {'gz': gzip.compress, 'bz2': bz2.compress, 'xz': lzma.compress}
 def test_a_packed_report_is_read(reported, packer):
     path, shown = reported
     path.write_bytes(PACKERS[packer](path.read_bytes()))
-    assert findings('\n'.join(screen(report_file.load(str(path)).said))) == findings(shown)
+    again = screen(issue_report.load_report(str(path)).verdict)
+    assert findings('\n'.join(again)) == findings(shown)
 
 
 def test_a_report_in_a_zip_is_read(reported, tmp_path):
     path, _ = reported
     with zipfile.ZipFile(tmp_path / 'report.zip', 'w') as file:
         file.write(path, 'report.txt')
-    assert report_file.load(str(tmp_path / 'report.zip')).said.code == ERROR
+    assert issue_report.load_report(str(tmp_path / 'report.zip')).verdict.code == ERROR
 
 
 def test_no_damage_to_a_report_raises(reported, tmp_path):
@@ -617,9 +617,9 @@ def test_no_damage_to_a_report_raises(reported, tmp_path):
             at = chance.randrange(len(wrong) + 1)
             wrong[at:at + chance.randrange(40)] = chance.randbytes(chance.randrange(40))
         broken.write_bytes(gzip.compress(wrong)[:-turn] if turn % 4 == 1 else wrong)
-        stored = report_file.load(str(broken))
-        if stored is not None and stored.said is not None:
-            screen(stored.said)
+        stored = issue_report.load_report(str(broken))
+        if stored is not None and stored.verdict is not None:
+            screen(stored.verdict)
 
 
 def test_a_cut_report_is_told_as_cut(reported):
@@ -641,14 +641,14 @@ def test_a_report_overwrites_no_other_file(tmp_path):
 def test_a_report_gives_back_all_that_was_said(tmp_path):
     whole = said(heard('silent:4:2'))._replace(cycles=('50 Hz', 'a wait'), quiet=('no power',))
     maker = issue_report.Maker((), (), (), (), 'auto')
-    (tmp_path / 'report').write_text(issue_report.report(whole, [], 1.0, maker, b''))
-    assert report_file.load(str(tmp_path / 'report')).said == whole
+    (tmp_path / 'report').write_text(issue_report.make_report(whole, [], 1.0, maker, b''))
+    assert issue_report.load_report(str(tmp_path / 'report')).verdict == whole
 
 
 def test_a_chunk_larger_than_a_report_is_left_out():
     window = ErrorWindow()
-    window.take(WIRE, Chunk(1, 'bus', bytes(2_000_000)))
-    window.take(WIRE, Chunk(2, 'bus', b'\1'))
+    window.record_chunk(WIRE, Chunk(1, 'bus', bytes(2_000_000)))
+    window.record_chunk(WIRE, Chunk(2, 'bus', b'\1'))
     assert [one.data for one in Reader(io.BytesIO(window.capture({})))] == [b'\1']
 
 
@@ -663,13 +663,13 @@ def test_a_file_called_run_is_no_source(tmp_path):
 def test_a_report_is_bounded():
     window = ErrorWindow()
     for number in range(3000):
-        window.take(WIRE, Chunk(1 + number * SECOND // 100, 'bus', bytes(1000)))
+        window.record_chunk(WIRE, Chunk(1 + number * SECOND // 100, 'bus', bytes(1000)))
     kept = list(Reader(io.BytesIO(window.capture({}))))
     assert sum(len(chunk.data) for chunk in kept) <= 1_500_000
     assert kept[-1].stamp == 1 + 2999 * SECOND // 100
     window = ErrorWindow()
     for number in range(900):
-        window.take(WIRE, Chunk(1 + number * SECOND // 10, 'bus', bytes(1)))
+        window.record_chunk(WIRE, Chunk(1 + number * SECOND // 10, 'bus', bytes(1)))
         if number == 400:
             window.first_error = 40 * SECOND
     kept = list(Reader(io.BytesIO(window.capture({}))))

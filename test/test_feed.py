@@ -247,7 +247,7 @@ def positions_in(capture):
             begin = chunk.stamp
             monitor = Monitor('arm', confusion.MODELS, settings_of(
                 'arm', source.wire(chunk.bus), [ARM], 'auto'))
-        monitor.take(chunk)
+        monitor.feed_chunks([chunk])
         device = monitor.decoder.registry.devices[1]
         [row] = device.table.observed_of(device.model, ['Present Position'], chunk.stamp)
         if row is not None and row.age_s == 0.0:
@@ -258,7 +258,7 @@ def positions_in(capture):
 def test_a_recording_whose_name_is_not_utf_8(tmp_path):
     capture = os.fsdecode(os.fsencode(tmp_path) + b'/arm_\xff.txt')
     with open(capture, 'wb') as file:
-        Writer(file, Moment(10**12, 10**12)).take(
+        Writer(file, Moment(10**12, 10**12)).write_chunk(
             Wire('arm', 10**6), Chunk(10**12, 'arm', bytes.fromhex('ffff010281007b')))
     with dashboard(capture) as program:
         first = next(events(program))
@@ -281,7 +281,7 @@ def test_a_recording_is_played_stopped_and_moved(tmp_path):
     with open(capture, 'wb') as file:
         writer = Writer(file, Moment(10**12, 10**12))
         for data, stamp, _ in confusion.chunks(master, 30 * 10**9, 0):
-            writer.take(Wire('arm', 10**6), Chunk(10**12 + stamp, 'arm', data))
+            writer.write_chunk(Wire('arm', 10**6), Chunk(10**12 + stamp, 'arm', data))
     with dashboard(str(capture), '--devices', ARM) as program, dashboard_page.browser() as browser:
         address = 'http://' + program.wait_for('http://').split('http://')[1].split()[0]
         page = browser.new_page()

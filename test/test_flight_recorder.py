@@ -50,8 +50,9 @@ class Flight:
     def run(self, seconds, report=WELL):
         for _ in range(round(10 * seconds)):
             self.now += S // 10
-            self.recorder.take(WIRE, Chunk(self.now, WIRE.name, self.now.to_bytes(8, 'little')))
-            self.recorder.look('arm', report)
+            self.recorder.record_chunk(
+                WIRE, Chunk(self.now, WIRE.name, self.now.to_bytes(8, 'little')))
+            self.recorder.record_report('arm', report)
 
     def files(self):
         return sorted(self.folder.glob('*.txt'))
@@ -112,7 +113,7 @@ def test_a_lost_device_is_recorded_and_advice_is_not(flight):
 
 
 def test_it_is_written_when_asked_and_events_are_in_it(flight):
-    flight.recorder.take(WIRE, Chunk(flight.now, WIRE.name, change=Change('unplugged', 1)))
+    flight.recorder.record_chunk(WIRE, Chunk(flight.now, WIRE.name, change=Change('unplugged', 1)))
     path = flight.recorder.save('asked')
     assert flight.recorder.save('asked') == path
     flight.recorder.stop()
@@ -140,7 +141,7 @@ def test_the_oldest_files_go_and_no_other_file(tmp_path):
 def test_memory_is_bounded(flight):
     for _ in range(400):
         flight.now += S // 10
-        flight.recorder.take(WIRE, Chunk(flight.now, WIRE.name, bytes(1_000_000)))
+        flight.recorder.record_chunk(WIRE, Chunk(flight.now, WIRE.name, bytes(1_000_000)))
     assert flight.recorder._kept <= 32_000_000
 
 
@@ -194,7 +195,7 @@ def diagnosed(scene, folder):
 
     def hear(data, stamp):
         now[0] = BOOT + stamp
-        live.take(Chunk(BOOT + stamp, 'bus', data), wire)
+        live.feed_chunk(Chunk(BOOT + stamp, 'bus', data), wire)
 
     rig.listen(scene.adapter, hear, lambda stamp: live.pass_time(BOOT + stamp))
     for second in range(1, 1 + int(SECONDS)):
@@ -206,7 +207,7 @@ def diagnosed(scene, folder):
     source = open_file(flight.path, None, tool='dxl_doctor') if flight.path else None
     later = Examination(MODELS, scene.devices)
     for chunk in source.chunks() if source else ():
-        later.take(chunk, source.wire(chunk.bus))
+        later.feed_chunk(chunk, source.wire(chunk.bus))
     if source:
         later.pass_time(source.ended)
         later.finish(source.ended, is_over=False)

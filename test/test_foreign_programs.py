@@ -31,7 +31,7 @@ from servobus.bus.report import FAILED
 from servobus.bus.report import RAISED
 from servobus.doctor.finding_log import BusSummary
 from servobus.doctor.finding_log import FindingLog
-from servobus.tools.doctor.verdict import verdict
+from servobus.tools.doctor.verdict import make_verdict
 
 RATE, EMPTY = Change(BAUD, 1_000_000), Change(UNREAD, 0)
 
@@ -542,7 +542,7 @@ def test_what_late_answers_spoil_has_a_cause():
     for turn, _ in enumerate(heard(bus, islice(gives_up(2, 20, 4, 4, 0.3), 2000))):
         if turn % 40 == 39:
             log.take(bus.report())
-    said = verdict('run', [BusSummary.of('', log.last, log, True)], 10, True)
+    said = make_verdict('run', [BusSummary.of('', log.last, log, True)], 10, True)
     assert [(one.rule, one.who) for one in said.wrong] == [('late_answers', '001')]
     assert any(one.level for one in log.last.devices if one.id != 1)
     assert not any('cause is unknown' in one for one in said.unknown)

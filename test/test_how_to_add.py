@@ -322,13 +322,15 @@ def test_a_live_source(copy):
     code.change('servobus/sources/hex_listener.py', ('', """\
 import time
 
+from msg_defs.event import Chunk
 from servobus.sources.listener import Listener
 
 
 class HexListener(Listener):
     def _listen_once(self) -> None:
-        self._say_open('open')
-        self._hear(bytes.fromhex(self.port.removeprefix('hex:')), time.monotonic_ns())
+        self._set_open('open')
+        self._deliver(Chunk(time.monotonic_ns(), self._bus,
+                            bytes.fromhex(self.port.removeprefix('hex:'))))
         while not self._stopping:
             self._pause(1.0)
 """), named='servobus/sources/')

@@ -35,7 +35,8 @@ class Collector:
         self.chunks = []
         self.idle = []
         self.listener = Listener(
-            port, baud, lambda chunk, stamp: self.chunks.append((chunk, stamp)), self.idle.append)
+            port, baud, lambda chunks: self.chunks.extend((one.data, one.stamp) for one in chunks),
+            self.idle.append)
         self.listener.start()
 
     @property
@@ -72,7 +73,7 @@ def test_tells_that_the_line_is_idle_and_how_far_it_listened(cable, collector):
 
 def test_idle_time_covers_latency_timer_and_slow_rates(tmp_path):
     def listening(baud, latency):
-        listener = Listener(str(tmp_path / 'absent'), baud, lambda chunk, stamp: None)
+        listener = Listener(str(tmp_path / 'absent'), baud, lambda chunks: None)
         listener.latency_timer_ms = latency
         return listener
     assert listening(2_000_000, None).idle_s == 0.02
@@ -137,10 +138,10 @@ def test_no_mistake_ends_the_listening(cable):
     """Not one of ours either: the port is opened again."""
     mistakes = [TypeError('expected str, not NoneType')]
 
-    def feed(chunk, stamp):
+    def feed(chunks):
         if mistakes:
             raise mistakes.pop()
-        heard.append(chunk)
+        heard.extend(one.data for one in chunks)
 
     heard = []
     listener = Listener(str(cable.link), 2_000_000, feed)

@@ -22,7 +22,7 @@ from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 from servobus.bus.decoder import Settings
 from servobus.model.models import Models
-from servobus.port.inspection import EVERY_S
+from servobus.port.inspection import INSPECT_EVERY_S
 from servobus.port.pty import Pty
 from servobus.settings import Bus
 from servobus.sources.listener import ListenerState
@@ -251,7 +251,7 @@ def test_a_login_that_begins_while_it_listens_is_told(tmp_path, heard):
         from dxl_monitor import start
         from servobus.port import inspection, preflight
         preflight.warnings.__defaults__ = (pathlib.Path({str(tmp_path)!r}), ())
-        inspection.EVERY_S = 0.2
+        inspection.INSPECT_EVERY_S = 0.2
         sys.exit(start.main())"""
     (tmp_path / 'proc').mkdir()
     with fake_bus(link, '--devices', '1:MX-64') as fake:
@@ -280,7 +280,7 @@ def test_who_opens_the_port_beside_it_is_named_at_once(tmp_path, heard):
                 heard.wait_status('dxl_monitor: bus', f'(pid {other.pid}) has it open too',
                                   level=1)
             heard.wait_status('dxl_monitor: bus', '1 of 1', level=0)
-            assert time.monotonic() - begin < EVERY_S / 2
+            assert time.monotonic() - begin < INSPECT_EVERY_S / 2
 
 
 @pytest.mark.parametrize('number', ENDINGS, ids=lambda number: number.name)

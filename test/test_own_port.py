@@ -161,9 +161,10 @@ def test_what_the_ring_leaves_out_says_nothing(name):
             kept.append(event)
         at += len(event)
     assert len(kept) < len(cut(whole))
-    few, all_of_it = (UsbPort(one.place, one.adapter) for _ in range(2))
-    assert [few.take(event) for event in events(b''.join(kept)) if few.take(event)] == [
-        all_of_it.take(event) for event in events(whole) if all_of_it.take(event)]
+    few, all_of_it = (UsbPort(one.place, one.adapter, 'bus') for _ in range(2))
+    assert [few.decode_event(event) for event in events(b''.join(kept))
+            if few.decode_event(event)] == [
+        all_of_it.decode_event(event) for event in events(whole) if all_of_it.decode_event(event)]
 
 
 def test_other_devices_are_never_copied():
@@ -202,7 +203,7 @@ def test_what_was_seen_is_let_go_and_what_found_no_room_is_counted(monkeypatch):
     ring = usb_ring.Ring(-1, 7, frozenset((0x81, 2)), 2)
     assert (ring.read(), ring.dropped, sum(gone)) == (ours, 3, 2)
     assert (ring.read(), ring.dropped, sum(gone)) == (b'', 3, 2)
-    monkeypatch.setattr(usb_ring, 'FETCHED', 1)         # more than one look takes at a time
+    monkeypatch.setattr(usb_ring, 'FETCH_MAX_EVENTS', 1)   # more than one look takes at a time
     places += [100, 100 + len(ours), 100]
     dropped += [0]
     assert (ring.read(), sum(gone)) == (2 * ours, 5)
@@ -218,13 +219,12 @@ class Collector:
         self.monitor = Monitor('bus', MODELS, Settings(0, tuple(parse_all(DEVICES))),
                                idle_is_told=True)
         self.changes = []
-        self.listener = listener_on(name, 0, self.monitor.feed, self.monitor.flush_if_idle,
-                                    on_change=self._change)
+        self.listener = listener_on(name, 0, self._feed, self.monitor.flush_if_idle)
         self.listener.start()
 
-    def _change(self, change, stamp):
-        self.changes.append(change)
-        self.monitor.change(change, stamp)
+    def _feed(self, chunks):
+        self.changes += [one.change for one in chunks if one.change]
+        self.monitor.feed_chunks(chunks)
 
     def report(self):
         return self.monitor.report(time.monotonic_ns())
@@ -287,8 +287,8 @@ def test_tap_hears_the_port_that_is_named(meeting_place, monkeypatch):
     with Pty() as first, Pty() as second:
         heard = {}
         names = 'tap:arm', f'tap:arm/{os.path.basename(second.path)}', 'tap:other'
-        listeners = [listener_on(name, 0, lambda data, stamp, side, name=name: heard.setdefault(
-            name, (side, data))) for name in names]
+        listeners = [listener_on(name, 0, lambda chunks, name=name: [heard.setdefault(
+            name, (one.side, one.data)) for one in chunks if one.data]) for name in names]
         for listener in listeners:
             listener.start()
         wait(lambda: all(one.state.is_open for one in listeners))
@@ -444,6 +444,6 @@ def test_same_report_through_every_adapter_cut_at_every_size(family, turn):
                                            BEGAN + said[-1].end)
         usb = Monitor('bus', MODELS, Settings(BAUD, protocol=dialect))
         heard = [one for one in hear(events(stream)) if one.data]
-        usb.feed_pieces([(one.data, one.stamp - BEGAN, one.side) for one in heard])
+        usb.feed_chunks([one._replace(stamp=one.stamp - BEGAN) for one in heard])
         assert max(len(one.data) for one in heard if one.side == IN) <= size
         assert said_of(usb) == expected, (dialect, pattern, size)

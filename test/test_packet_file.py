@@ -52,11 +52,11 @@ def with_sides(path, pattern='mixed'):
         for data, stamp in bursts(pattern=pattern):
             done = framer.bytes
             for begin, end, kind, *_ in framer.frames(data):
-                writer.take(wire, Chunk(stamp, 'arm', data[begin - done:end - done],
+                writer.write_chunk(wire, Chunk(stamp, 'arm', data[begin - done:end - done],
                                         IN if kind == IS_STATUS else OUT))
-        writer.take(wire, Chunk(stamp + 1, 'arm', change=Change('unread', 5)))
-        writer.take(wire, Chunk(stamp + 2, 'arm', b'\xff\xff', IN))
-        writer.take(wire, Chunk(stamp + 3, 'arm', change=Change('unplugged', 1)))
+        writer.write_chunk(wire, Chunk(stamp + 1, 'arm', change=Change('unread', 5)))
+        writer.write_chunk(wire, Chunk(stamp + 2, 'arm', b'\xff\xff', IN))
+        writer.write_chunk(wire, Chunk(stamp + 3, 'arm', change=Change('unplugged', 1)))
     return path
 
 

@@ -6,6 +6,7 @@ import errno
 import grp
 import os
 import pathlib
+import pwd
 import re
 import socket
 import struct
@@ -375,7 +376,7 @@ OPENS = 'os.open(sys.argv[1], os.O_NOCTTY); print(flush=True)'
 
 def looked(inspection, opening, now_s):
     """Let an inspection look, and return what it complains of."""
-    inspection.look(opening, now_s)
+    inspection.inspect_if_due(opening, now_s)
     inspection._looked.wait()
     return inspection.complaints
 
@@ -494,7 +495,7 @@ def test_joined_the_group_after_the_session_began(tmp_path, monkeypatch):
     port = tmp_path / 'ttyUSB0'
     port.touch()
     monkeypatch.setattr(preflight, '_wrong_kind', lambda *_: None)
-    monkeypatch.setattr(preflight, '_name_of', lambda _: 'robot')
+    monkeypatch.setattr(pwd, 'getpwuid', lambda _: ('robot',))
     monkeypatch.setattr(grp, 'getgrgid', lambda number: grp.struct_group(
         ('dialout', 'x', 20, ['robot']) if number == port.stat().st_gid else
         ('users', 'x', number, [])))

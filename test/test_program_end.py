@@ -29,7 +29,7 @@ from servobus.sources import tap_sender as sent
 from servobus.sources.capture import Wire
 from servobus.sources.tap_reader import TapRecord
 from servobus.tools.doctor.program import Openings
-from servobus.tools.doctor.verdict import verdict
+from servobus.tools.doctor.verdict import make_verdict
 
 MS = 1_000_000
 MODELS = Models()
@@ -84,9 +84,9 @@ class Script:
 def verdict_of(program, failed=''):
     examination = Examination(MODELS)
     for chunk in program.chunks:
-        examination.take(chunk, WIRE)
+        examination.feed_chunk(chunk, WIRE)
     examination.finish(examination.last, True, failed)
-    return verdict('x', examination.buses(True), 1.0, True)
+    return make_verdict('x', examination.buses(True), 1.0, True)
 
 
 def told(program, failed=''):
@@ -328,5 +328,5 @@ def test_two_who_ask_on_one_port_are_noticed(said, others):
         openings.is_robbed |= word == 'robbed'
         if word[-1].isdigit():
             kind = {'+': sent.OPENED, '-': CLOSED, 'r': IN}.get(word[0], OUT)
-            openings.take('arm', TapRecord(1, 'arm', kind, b'', 0, int(word[-1])))
+            openings.count_record('arm', TapRecord(1, 'arm', kind, b'', 0, int(word[-1])))
     assert openings.found.get('arm', '') == others

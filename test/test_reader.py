@@ -58,7 +58,7 @@ def pid_of(collector):
 @pytest.mark.parametrize('in_thread', [False, True], ids=['process', 'thread'])
 def test_equal_bytes_in_equal_order(cable, in_thread):
     chunks = []
-    listener = Listener(cable.path, 2_000_000, lambda *chunk: chunks.append(chunk),
+    listener = Listener(cable.path, 2_000_000, chunks.extend,
                         in_thread=in_thread)
     listener.start()
     wait(lambda: listener.state.is_open)
@@ -66,8 +66,8 @@ def test_equal_bytes_in_equal_order(cable, in_thread):
     send(cable, sent)
     wait(lambda: listener.counters.bytes == len(sent))
     listener.stop()
-    assert b''.join(chunk for chunk, _ in chunks) == sent
-    stamps = [stamp for _, stamp in chunks]
+    assert b''.join(chunk.data for chunk in chunks) == sent
+    stamps = [chunk.stamp for chunk in chunks]
     assert stamps == sorted(stamps)
     assert stamps[-1] <= time.monotonic_ns()
     assert listener.counters.reads == len(chunks)
@@ -183,7 +183,7 @@ def test_few_descriptors_are_no_end_and_none_is_lost(cable):
 
 def _state_with_descriptors(cable, spare):
     """Return how a listener gets on that can open so many more descriptors."""
-    listener = Listener(cable.path, 2_000_000, lambda chunk, stamp: None)
+    listener = Listener(cable.path, 2_000_000, lambda chunks: None)
 
     def state():
         if listener.reader_pid:

@@ -25,6 +25,7 @@ from servobus.sources.capture import Reader
 from servobus.sources.capture import Wire
 from servobus.sources.capture import Writer
 from servobus.sources.listener import Listener
+from servobus.sources.packet_file import PacketWriter
 
 pytestmark = pytest.mark.realtime(bears=0.01)
 
@@ -67,7 +68,7 @@ def capture(chunks):
     file = io.BytesIO()
     writer = Writer(file, Moment(1_790_000_000 * SECOND, SECOND))
     for data, stamp in chunks:
-        writer.take(WIRE, Chunk(stamp, WIRE.name, data))
+        writer.write_chunk(WIRE, Chunk(stamp, WIRE.name, data))
     return file.getvalue()
 
 
@@ -101,12 +102,12 @@ class Collector:
         self.monitor = Monitor('bus', MODELS, Settings(baud=BAUD))
         self._last = 0
         self.fed = 0                    # bytes; the listener counts them before they are fed
-        self.listener = Listener(str(path), BAUD, self._hear, self.monitor.flush_if_idle)
+        self.listener = Listener(str(path), BAUD, self._feed, self.monitor.flush_if_idle)
 
-    def _hear(self, data, stamp):
-        self._last = stamp
-        self.monitor.feed(data, stamp)
-        self.fed += len(data)
+    def _feed(self, chunks):
+        self._last = chunks[-1].stamp
+        self.monitor.feed_chunks(chunks)
+        self.fed += sum(len(one.data) for one in chunks)
 
     def __enter__(self):
         self.listener.start()
@@ -151,13 +152,17 @@ def test_faster_and_again_and_again(tmp_path):
     assert 'Traceback' not in replay.text
 
 
-def test_every_bus_has_its_pty(tmp_path):
+@pytest.mark.parametrize('form', ['capture', 'pcapng'])
+def test_every_bus_has_its_pty(tmp_path, form):
     path, link = tmp_path / 'two.txt', tmp_path / 'bus'
     file = io.BytesIO()
-    writer = Writer(file, Moment(1, 1))
+    writer = Writer(file, Moment(1, 1)) if form == 'capture' else PacketWriter(file)
     for number in range(3):
-        writer.take(Wire('left', BAUD), Chunk(10 + number, 'left', b'\x01'))
-        writer.take(Wire('right/arm', BAUD), Chunk(10 + number, 'right/arm', b'\x02\x03'))
+        for bus, data in (('left', b'\x01'), ('right/arm', b'\x02\x03')):
+            if form == 'capture':
+                writer.write_chunk(Wire(bus, BAUD), Chunk(10 + number, bus, data))
+            else:
+                writer.write(Wire(bus, BAUD), 10 + number, data)
     path.write_bytes(file.getvalue())
     with Program(REPLAY, str(path), '--link', str(link), '--stay') as replay:
         replay.wait_for('waiting')

@@ -39,7 +39,7 @@ from msg_defs.event import PURGED
 from msg_defs.event import UNREAD
 from servobus.port.pty import Pty
 from servobus.sources.tap_listener import TapListener
-from servobus.sources.tap_reader import PORTS_LIMIT
+from servobus.sources.tap_reader import PORTS_MAX
 from servobus.sources.tap_reader import TapReader
 from servobus.sources.tap_reader import TapRecord
 from servobus.sources.tap_sender import folder
@@ -415,7 +415,7 @@ def test_a_program_that_opens_ports_without_end_is_left():
     with TapReader('robot') as reader, socket.socket(socket.AF_UNIX) as program:
         program.connect(reader._path)
         program.sendall(b''.join(record(OPENED, at, 1, b'/dev/%d' % at) for at in range(300)))
-        listen(reader, closed(PORTS_LIMIT))
+        listen(reader, closed(PORTS_MAX))
         assert program.recv(1) == b''
 
 
@@ -423,7 +423,7 @@ def test_thousands_of_ports_are_not_named():
     listener = TapListener('tap:robot', 0, lambda *_: None)
     listener._wanted = listener._heard_port = ''
     for at in range(5000):
-        listener._take_record(TapRecord(at, f'/dev/{at}', OPENED, b'', 0))
+        listener._accept_tap_record(TapRecord(at, f'/dev/{at}', OPENED, b'', 0))
     assert listener.problems() == [
         'the program also opened /dev/1, /dev/2, /dev/3 and others, which was not heard; name the '
         'port to listen to it: tap:NAME/1']

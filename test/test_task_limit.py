@@ -35,8 +35,8 @@ import sys
 from servobus.port import inspection
 from servobus.sources import listener
 from {module} import main
-inspection.EVERY_S = 0.1
-listener.PROCESS_AGAIN_NS = 300_000_000
+inspection.INSPECT_EVERY_S = 0.1
+listener.PROCESS_RETRY_NS = 300_000_000
 {patch}
 sys.exit(main())"""
 CUTS = 3

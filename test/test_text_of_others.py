@@ -39,7 +39,6 @@ from servobus.sources.capture import Wire
 from servobus.sources.capture import Writer
 from servobus.sources.tap_reader import _Connection
 from servobus.tools.doctor import issue_report
-from servobus.tools.doctor.error_window import packed
 
 ROOT = Path(__file__).parents[1]
 # Colour, title, clear screen, C1, bidi override, line separators, a bell: and a line of our own.
@@ -71,7 +70,7 @@ def captured(bus):
             data += encode(1, STATUS, bytes(5))
         noise = Random(number).randbytes(40)
         for name, part in ((f'{bus} answers', data), (f'{bus} noise', noise)):
-            writer.take(Wire(name, 1_000_000, port=bus),
+            writer.write_chunk(Wire(name, 1_000_000, port=bus),
                         Chunk(SECOND + number * SECOND // 10, name, part))
     writer.remark('\x1b[5m a remark')
     return file.getvalue() + b'\x1b[5m no line\n'
@@ -132,7 +131,7 @@ def test_a_report(tmp_path, arguments):
     stored = {**evil(stored), 'protocol': 'auto', 'devices': [f'{EVIL}/1:MX-64']}
     made.write_text('\n'.join([head, issue_report.VERDICT, json.dumps(stored),
                                issue_report.CAPTURE,
-                               *packed(captured(EVIL)), issue_report.END]))
+                               *issue_report.packed(captured(EVIL)), issue_report.END]))
     code, text = run('dxl_doctor', str(made), *arguments)
     assert code == 4
     assert is_safe(text)

@@ -48,9 +48,9 @@ from servobus.sources.adapters import Ftdi
 from servobus.sources.adapters import Setup
 from servobus.sources.adapters import UsbIdentity
 from servobus.sources.pcap import PcapReader
-from servobus.sources.usb_events import is_usb
-from servobus.sources.usb_events import UsbEvents
 from servobus.sources.usb_port import UsbPort
+from servobus.sources.usb_source import is_usb
+from servobus.sources.usb_source import UsbEvents
 from servobus.sources.usbmon import Records
 
 SESSIONS = ('healthy', 'missing', 'acm')
@@ -257,22 +257,22 @@ def test_the_short_way_through_the_stream_says_the_same(family, chunks, transfer
     one, *_ = ports_in(events(bytes(whole[:head])))
     place, kind = one.place, type(one.adapter)
     size = FAMILIES[family].packet_size
-    slow, fast = UsbPort(place, kind(size)), UsbPort(place, kind(size))
-    expected = [one for event in Records().events(bytes(whole)) if (one := slow.take(event))]
+    slow, fast = (UsbPort(place, kind(size), 'bus') for _ in range(2))
+    expected = [one for event in Records().events(bytes(whole))
+                for one in slow.decode_event(event)]
     records, found = Records(), []
     borders = sorted(data.draw(st.lists(st.integers(0, len(whole)), max_size=8)))
     for begin, end in zip([0, *borders], [*borders, len(whole)], strict=True):
-        for event in records.events(bytes(whole[begin:end]), partial(fast.skim, found=found)):
-            told = fast.take(event)
-            found += [] if told is None else [tuple(told)]
-    assert [(*one, [])[:4] for one in found] == [tuple(one) for one in expected]
+        for event in records.events(bytes(whole[begin:end]), partial(fast.skim, decoded=found)):
+            found += fast.decode_event(event)
+    assert found == expected
 
 
 def test_nearly_all_of_a_real_capture_goes_the_short_way():
     whole = (REAL / 'healthy.bin').read_bytes()
     one, = ports_in(events(whole))
-    port, found = UsbPort(one.place, one.adapter), []
-    list(Records().events(whole, partial(port.skim, found=found)))
+    port, found = UsbPort(one.place, one.adapter, 'bus'), []
+    list(Records().events(whole, partial(port.skim, decoded=found)))
     assert len(found) > 0.9 * len([heard for heard in hear(events(whole)) if heard.data])
 
 
@@ -377,9 +377,9 @@ def hear_all(data):
     """Read a file with any content, and hear every port."""
     found, _ = read(data)
     for one in ports_in(found):
-        port = UsbPort(one.place, one.adapter)
+        port = UsbPort(one.place, one.adapter, 'bus')
         for event in found:
-            port.take(event)
+            port.decode_event(event)
 
 
 @pytest.mark.parametrize('link', [LINUX, MMAPPED, USBPCAP])

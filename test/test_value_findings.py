@@ -33,7 +33,7 @@ from servobus.monitor import Monitor
 from servobus.status import PortState
 from servobus.status import statuses_of
 from servobus.tools.doctor.verdict import as_json
-from servobus.tools.doctor.verdict import verdict
+from servobus.tools.doctor.verdict import make_verdict
 
 MODELS = Models()
 S, MS = 1_000_000_000, 1_000_000
@@ -131,7 +131,7 @@ class Watched:
     def logged(self):
         """Return what dxl_doctor would say: its evidence, and the finding in its JSON."""
         bus = BusSummary.of('', self.report, self._log, True)
-        said = verdict('bus.txt', [bus], 1.0, True)
+        said = make_verdict('bus.txt', [bus], 1.0, True)
         found = as_json(said, [bus], 1.0)['buses'][0]['findings']
         [one] = [one for one in found if (one['rule'], one['device']) == (self.rule, self.whom)]
         [evidence] = [one.evidence for one in said.wrong

@@ -20,15 +20,15 @@ def ports_in(found):
     """Return the serial ports in these events."""
     survey = Survey()
     for event in found:
-        survey.take(event)
+        survey.add_event(event)
     return survey.ports()
 
 
 def hear(found):
     """Return what the only port in these events said."""
     one, = ports_in(found)
-    port = UsbPort(one.place, one.adapter)
-    return [heard for event in found if (heard := port.take(event)) is not None]
+    port = UsbPort(one.place, one.adapter, 'bus')
+    return [chunk for event in found for chunk in port.decode_event(event)]
 
 
 def tshark(file, fields, *options):
@@ -44,7 +44,7 @@ def side(heard, which):
 
 
 def changes(heard):
-    return [tuple(change) for one in heard for change in one.changes]
+    return [tuple(one.change) for one in heard if one.change]
 
 
 def log(name):

@@ -255,7 +255,7 @@ class Bridge:
         self._notice_freeze()
         state = self._link.state()
         if state.is_open:
-            self._inspection.look(state.openings, time.monotonic())
+            self._inspection.inspect_if_due(state.openings, time.monotonic())
         self._subscriber.follow_graph()
         self._graph_complaints = self._graph_check.complaints()
         self._write_logs()

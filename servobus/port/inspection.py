@@ -15,14 +15,14 @@ from servobus.port.port_error import Reason
 from servobus.port.port_watch import PortWatch
 from servobus.worker import Worker
 
-EVERY_S = 30.0              # a look takes 20 ms of CPU where 100 processes run
-APART_S = 1.0               # at least, where a program opens the port again and again
-AGAIN_S = 2.0               # once more after a change: a process that ends has its terminal longer
+INSPECT_EVERY_S = 30.0      # a look takes 20 ms of CPU where 100 processes run
+INSPECT_APART_S = 1.0       # at least, where a program opens the port again and again
+INSPECT_AGAIN_S = 2.0       # once more after a change: a process that ends has its terminal longer
 
 
 class Inspection:
     """
-    Looks at a port at each opening, when another program opens or closes it, and every EVERY_S.
+    Looks at a port at each opening, when another program opens or closes it, and each 30 s.
 
     `ours` are programs that may have it open. complaints: what was found last, 'port: reason;
     remedy'. It looks at every process of the system, so it does that in a thread, which says
@@ -42,16 +42,16 @@ class Inspection:
         self._looked = threading.Event()            # the last look is over
         self._looked.set()
 
-    def look(self, opening: int, now_s: float) -> None:
+    def inspect_if_due(self, opening: int, now_s: float) -> None:
         """Look if it is time; opening: its number, now_s: monotonic."""
         if opening != self._opening:
             self._watch.begin(self._port)
         self._watch.read()
-        due_s = self._looked_s + APART_S if self._watch.has_changed else self._due_s
+        due_s = self._looked_s + INSPECT_APART_S if self._watch.has_changed else self._due_s
         if (opening == self._opening and now_s < due_s) or not self._looked.is_set():
             return
         self._looked_s = now_s
-        self._due_s = now_s + (AGAIN_S if self._watch.has_changed else EVERY_S)
+        self._due_s = now_s + (INSPECT_AGAIN_S if self._watch.has_changed else INSPECT_EVERY_S)
         self._opening, self._was_opened = opening, self._watch.was_opened
         self._watch.clear()
         self._looked = self._worker.call(self._inspect)

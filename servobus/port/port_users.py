@@ -49,14 +49,14 @@ def _holders(path: str, root: Path) -> Iterator[PortUser]:
         if int(user.name) == os.getpid():
             continue
         is_login = any(part in program for part in _LOGINS)
-        if (is_login and _is_told_of(process, name)) or (status and (
+        if (is_login and _serves(process, name)) or (status and (
                 is_controlled_by(process, path, status) or _has_open(process, status))):
             yield PortUser(f'{program or "a process"} (pid {user.name})', is_login,
                            status is not None and (_has_made(process, status.st_rdev)
                                                    or _has_made(user, status.st_rdev)))
 
 
-def _is_told_of(process: Path, tty: str) -> bool:
+def _serves(process: Path, tty: str) -> bool:
     """Tell whether a getty was started for `tty`, by an argument or as a unit of systemd."""
     # systemd passes the terminal as standard input: `agetty ... -` does not name it.
     return bool({tty, f'/dev/{tty}'} & set(file_text(process / 'cmdline').split('\0'))) \
@@ -96,14 +96,17 @@ def is_controlled_by(process: Path, path: str, status: os.stat_result) -> bool:
 
 def _stat_field(process: Path, index: int) -> int:
     """Return a number of /proc/PID/stat after the name, 0 where the process has ended."""
-    fields = file_text(process / 'stat').rpartition(')')[2].split()
+    fields = _stat_fields(process)
     return int(fields[index]) if len(fields) > index else 0
+
+
+def _stat_fields(process: Path) -> list[str]:
+    return file_text(process / 'stat').rpartition(')')[2].split()
 
 
 def is_running(process: int) -> bool:
     """Tell whether a process is there, and is no zombie."""
-    state = file_text(ROOT / f'proc/{process}/stat').rpartition(')')[2].split()[:1]
-    return state not in ([], ['Z'], ['X'])
+    return _stat_fields(ROOT / f'proc/{process}')[:1] not in ([], ['Z'], ['X'])
 
 
 def _has_open(process: Path, status: os.stat_result) -> bool:

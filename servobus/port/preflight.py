@@ -9,12 +9,14 @@ points at the debug connector, the UART of GPIO 14/15 is ttyAMA0.
 """
 from __future__ import annotations
 
+from collections.abc import Callable
 from collections.abc import Sequence
 import errno
 import os
 from pathlib import Path
 import re
 import stat
+from typing import Any
 
 from serial.tools import list_ports
 
@@ -146,19 +148,21 @@ def _not_a_port(what: str) -> Reason:
 
 def _permission(path: str, root: Path) -> Reason:
     import grp  # Windows has none, and no use for what follows
+    import pwd
 
-    user = _name_of(os.geteuid())
+    user = _name(pwd.getpwuid, os.geteuid())
     try:
         status = os.stat(path)
         group, _, _, members = grp.getgrgid(status.st_gid)
     except (OSError, KeyError):
         return Reason('permission', f'user {user} may not open it', 'check its owner and mode')
     if os.major(status.st_rdev) in PTYS:
-        return Reason('permission', f'a pty of user {_name_of(status.st_uid)}, and you are '
-                      f'{user}', 'run both ends as one user')
+        owner = _name(pwd.getpwuid, status.st_uid)
+        return Reason('permission', f'a pty of user {owner}, and you are {user}',
+                      'run both ends as one user')
     if group == 'tty':              # no rule of udev gives a port to it, a getty does
         return _left_by_login(path, root)
-    mine = sorted(_group_name(number) for number in os.getgroups())
+    mine = sorted(_name(grp.getgrgid, number) for number in os.getgroups())
     reason = (f'user {user} (groups {", ".join(mine) or "none"}) may not open it: it belongs to '
               f'group {group}, mode {stat.filemode(status.st_mode)}')
     if user in members and group not in mine:
@@ -202,21 +206,11 @@ def _busy(path: str) -> Reason:
                   f'stop that program; sudo fuser -v {path} names it')
 
 
-def _name_of(user: int) -> str:
-    import pwd
-
+def _name(find: Callable[[int], Sequence[Any]], number: int) -> str:
+    """Return the name of a user or a group."""
     try:
-        return pwd.getpwuid(user).pw_name
+        return str(find(number)[0])
     except KeyError:                # a container with a user of its own
-        return str(user)
-
-
-def _group_name(number: int) -> str:
-    import grp
-
-    try:
-        return grp.getgrgid(number).gr_name
-    except KeyError:
         return str(number)
 
 

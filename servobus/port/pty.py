@@ -19,8 +19,8 @@ import tty
 
 from servobus.port.port_users import holders
 
-_OUTLIVE_S = 4.0                # launch kills what has not ended after 5 s
-_LOOK_S = 0.05
+_OUTLIVE_MAX_S = 4.0            # launch kills what has not ended after 5 s
+_CHECK_EVERY_S = 0.05
 
 
 def outlive(path: str, work: Callable[[float], object] = time.sleep) -> None:
@@ -32,9 +32,9 @@ def outlive(path: str, work: Callable[[float], object] = time.sleep) -> None:
     """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
-    deadline = time.monotonic() + _OUTLIVE_S
+    deadline = time.monotonic() + _OUTLIVE_MAX_S
     while holders(path) and time.monotonic() < deadline:
-        work(_LOOK_S)
+        work(_CHECK_EVERY_S)
 
 
 class Pty:

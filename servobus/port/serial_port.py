@@ -32,10 +32,11 @@ from servobus.port.readable import readable
 from servobus.worker import MORE_TASKS
 
 _READ_SIZE = 65536
+RETRY_FIRST_S = 0.2             # after a port could not be opened
 _POLL_S = 0.005                 # ports without a descriptor (rfc2217://, loop://) are polled
 _URL_WRITE_TIMEOUT_S = 0.05     # they may block; a descriptor never does
 _BAUD_TOLERANCE = 0.03          # a UART still understands its peer 3 % off
-_UNCONFIRMED = 64               # bytes: many a peer confirms only each second frame, or 40 ms late
+_UNCONFIRMED_MAX = 64           # bytes: many a peer confirms only each second frame, or 40 ms late
 _NETWORK_AWAY_MS = 1000         # the kernel drops the connection then, also of a dead process
 _DROP_AT_CLOSE = struct.pack('ii', 1, 0)    # struct linger
 _TCGETS2 = 0x802C542A
@@ -128,7 +129,7 @@ class Port:
             fcntl.ioctl(fd, termios.TIOCOUTQ, count)
         except OSError as error:
             raise self.lost(error) from error
-        return 0 if not self.is_tty and count[0] <= _UNCONFIRMED else count[0]
+        return 0 if not self.is_tty and count[0] <= _UNCONFIRMED_MAX else count[0]
 
     def drop_output(self) -> None:
         """Throw away what was written and has not left yet; a socket is lost with it."""
@@ -259,12 +260,11 @@ def _settle_socket(fd: int) -> None:
 
 
 class Backoff:
-    """Waiting times between attempts: doubling from `first_s` to `last_s`."""
+    """Waiting times between attempts: doubling from RETRY_FIRST_S to `last_s`."""
 
-    def __init__(self, first_s: float = 0.2, last_s: float = 2.0) -> None:
-        self._first_s = first_s
+    def __init__(self, last_s: float = 2.0) -> None:
         self._last_s = last_s
-        self._next_s = first_s
+        self._next_s = RETRY_FIRST_S
 
     def next(self) -> float:
         """Return how long to wait (s) before the next attempt."""
@@ -274,4 +274,4 @@ class Backoff:
 
     def reset(self) -> None:
         """Begin again with the shortest time, after a success."""
-        self._next_s = self._first_s
+        self._next_s = RETRY_FIRST_S

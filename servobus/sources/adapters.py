@@ -9,6 +9,7 @@ subclass, 6.3.11 and 6.5.4.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from msg_defs.event import BAUD
@@ -66,6 +67,11 @@ def _lines(value: int) -> Changes:
     """Return the modem lines that a request sets: which in the high byte, how in the low one."""
     return [Change(what, value >> bit & 1) for bit, what in ((0, DTR), (1, RTS))
             if value >> 8 >> bit & 1]
+
+
+def _errors(status: int, bits: Sequence[tuple[int, str]] = _ERRORS) -> Changes:
+    """Return the line errors in a status byte."""
+    return [Change(what, 1) for bit, what in bits if status & bit]
 
 
 class Adapter:
@@ -149,7 +155,7 @@ class Ftdi(Adapter):
     def _line(self, packet: bytes) -> Changes:
         if len(packet) <= self._STATUS_SIZE or not packet[1] & 0x1E:
             return []
-        return [Change(what, 1) for bit, what in _ERRORS if packet[1] & bit]
+        return _errors(packet[1])
 
     def control(self, setup: Setup, data: bytes) -> Changes:
         kind, request, value, _ = setup
@@ -209,7 +215,7 @@ class CdcAcm(Adapter):
         if len(data) < size:
             self._rest = data
             return []
-        return [Change(what, 1) for bit, what in self._ERRORS if data[self._HEAD_SIZE] & bit]
+        return _errors(data[self._HEAD_SIZE], self._ERRORS)
 
 
 class Ch341(Adapter):
@@ -298,7 +304,7 @@ class Cp210x(Adapter):
             if kind == 0 or kind >= len(self._SIZES):      # itself, or no escape at all
                 found.append(self._escape)
             elif kind == 1:
-                changes += [Change(what, 1) for bit, what in _ERRORS if data[mark + 2] & bit]
+                changes += _errors(data[mark + 2])
                 found.append(data[mark + 3:at])
         self._rest = b''
         return b''.join(found) + data[at:], changes

@@ -43,15 +43,15 @@ ENDED = 'ended at '                # begins the remark at the end of a recording
 VERSIONS = (b'1', b'2')
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _WALL = '%Y-%m-%dT%H:%M:%S.%f'
-_PLAIN = '/:._-+@'                  # stay as they are in a bus name, as letters and digits do
+_UNQUOTED = '/:._-+@'               # stay as they are in a bus name, as letters and digits do
 _SECOND = 1_000_000_000
 STAMP_END = 1 << 63                 # ns: 292 years; longer than any time since a boot
-BAUD_LIMIT = 100_000_000
-LATENCY_LIMIT_MS = 10_000
-BUSES_LIMIT = 256
-DIGITS_LIMIT = 18                   # in the value of a change
-LINE_LIMIT = 1 << 20                # bytes: many times the longest line that is ever written
-_SHOWN = 60                         # characters of a bad line in a message
+BAUD_MAX = 100_000_000
+LATENCY_MAX_MS = 10_000
+BUSES_MAX = 256
+VALUE_MAX_DIGITS = 18               # in the value of a change
+LINE_MAX_BYTES = 1 << 20            # bytes: many times the longest line that is ever written
+BAD_TEXT_MAX_LENGTH = 60            # characters of a bad line in a message
 
 
 class Wire(NamedTuple):
@@ -88,7 +88,7 @@ def chunk_line(chunk: Chunk) -> bytes:
 
 def _word(name: str) -> str:
     """Spell the name of a bus without blanks; '-' if it has none."""
-    return '%2D' if name == '-' else quote(name, _PLAIN) or '-'
+    return '%2D' if name == '-' else quote(name, _UNQUOTED) or '-'
 
 
 class Writer:
@@ -97,16 +97,16 @@ class Writer:
     def __init__(self, file: BinaryIO, now: Moment) -> None:
         self.size = 0
         self._file = file
-        self._told: set[str] = set()
+        self._described: set[str] = set()     # buses
         wall = (_EPOCH + timedelta(microseconds=now.wall // 1000)).strftime(_WALL)
         self._put(MAGIC + f'2 began {wall}Z at {seconds(now.stamp)}\n'.encode())
 
-    def take(self, wire: Wire, chunk: Chunk) -> None:
+    def write_chunk(self, wire: Wire, chunk: Chunk) -> None:
         """Write a chunk of a bus, and before its first one what is known of that."""
-        if wire.name not in self._told:
-            self._told.add(wire.name)
+        if wire.name not in self._described:
+            self._described.add(wire.name)
             self._put(f'# bus {_word(wire.name)} baud {wire.baud} latency_timer_ms '
-                      f'{wire.latency_timer_ms} port {quote(wire.port, _PLAIN)}\n'.encode())
+                      f'{wire.latency_timer_ms} port {quote(wire.port, _UNQUOTED)}\n'.encode())
         self._put(chunk_line(chunk))
 
     def remark(self, text: str) -> None:
@@ -163,7 +163,8 @@ class Reader:
             self.bad_lines += 1
             if not self.first_bad_line:
                 self.first_bad_line = number
-                self.first_bad_text = printable(line.decode(errors='replace').strip(), _SHOWN)
+                self.first_bad_text = printable(
+                    line.decode(errors='replace').strip(), BAD_TEXT_MAX_LENGTH)
         return None
 
     def problems(self) -> list[str]:
@@ -179,7 +180,7 @@ class Reader:
     def _name(self, word: bytes) -> str:
         name = self._names.get(word)
         if name is None:
-            if len(self._names) >= BUSES_LIMIT:
+            if len(self._names) >= BUSES_MAX:
                 raise ValueError(word)
             name = self._names[word] = '' if word == b'-' else printable(
                 unquote(word.decode()))
@@ -208,7 +209,7 @@ class Reader:
             facts = dict(zip(words[2::2], words[3::2], strict=False))
             baud = int(facts[b'baud'])
             latency_ms = int(facts.get(b'latency_timer_ms', 0))
-            if not (0 <= baud <= BAUD_LIMIT and 0 <= latency_ms <= LATENCY_LIMIT_MS):
+            if not (0 <= baud <= BAUD_MAX and 0 <= latency_ms <= LATENCY_MAX_MS):
                 raise ValueError(line)
             self.wires[name] = Wire(name, baud, latency_ms,
                                     printable(unquote(facts.get(b'port', b'').decode())))
@@ -221,17 +222,17 @@ def _content(words: list[bytes]) -> tuple[bytes, str, Change | None]:
     name, value = (word.decode() for word in words)
     if name in (OUT, IN):
         return bytes.fromhex(value), name, None
-    if name not in CHANGES or not value.isdecimal() or len(value) > DIGITS_LIMIT:
+    if name not in CHANGES or not value.isdecimal() or len(value) > VALUE_MAX_DIGITS:
         raise ValueError(name)
     return b'', UNKNOWN, Change(name, int(value))
 
 
 def lines(file: BinaryIO) -> Iterator[bytes]:
     """Yield the lines of a file; one that is too long to be a line of a capture as a '?'."""
-    while line := file.readline(LINE_LIMIT):
-        if len(line) == LINE_LIMIT and line[-1:] != b'\n':
+    while line := file.readline(LINE_MAX_BYTES):
+        if len(line) == LINE_MAX_BYTES and line[-1:] != b'\n':
             while line and line[-1:] != b'\n':
-                line = file.readline(LINE_LIMIT)
+                line = file.readline(LINE_MAX_BYTES)
             line = b'?\n'
         yield line
 
@@ -258,7 +259,7 @@ def check_new(path: str | Path, is_ours: Callable[[str | Path], bool] | None = N
     """
     Raise ParameterError for what must not be written to.
 
-    That is a port, above all, and any file that is not a recording; is_ours: tells what is one.
+    That is a port, above all, and any file that is not a recording; is_ours: knows one.
     """
     try:
         status = os.stat(path)

@@ -26,9 +26,9 @@ from servobus.sources.capture import Wire
 from servobus.sources.capture import Writer
 from servobus.worker import Worker
 
-FLUSH_S = 0.2
-STOP_S = 3.0                        # the end waits no longer for what takes nothing
-WAITING_LIMIT = 16_000_000          # bytes: more than a minute of a busy bus
+FLUSH_EVERY_S = 0.2
+STOP_PATIENCE_S = 3.0               # the end waits no longer for what takes nothing
+WAITING_MAX_BYTES = 16_000_000      # bytes: more than a minute of a busy bus
 
 
 def moment() -> Moment:
@@ -53,7 +53,7 @@ class Recorder:
         self._size = size
         self._kept = kept
         self._now = now
-        self._waiting_limit = waiting_limit or WAITING_LIMIT
+        self._waiting_limit = waiting_limit or WAITING_MAX_BYTES
         self._remarks: list[str] = []
         self._lock = threading.Lock()
         self._waiting: list[tuple[Wire, Chunk]] = []
@@ -84,7 +84,7 @@ class Recorder:
         with self._lock:
             self._remarks.append(text)
 
-    def take(self, wire: Wire, chunk: Chunk) -> None:
+    def record_chunk(self, wire: Wire, chunk: Chunk) -> None:
         """Record a chunk; from any thread, and without waiting."""
         if self.problem:
             return
@@ -102,14 +102,14 @@ class Recorder:
         size = -1
         while not self._done.is_set() and size != self._writer.size:     # it still gets on
             size = self._writer.size
-            self._done.wait(STOP_S)
+            self._done.wait(STOP_PATIENCE_S)
         if not self._done.is_set():
             self.problem = (f'capture stopped: {self.path}: no data could be written; what was '
                             'not written yet is lost')
 
     def _run(self) -> None:
         try:
-            while not self._is_stopping.wait(FLUSH_S):
+            while not self._is_stopping.wait(FLUSH_EVERY_S):
                 self._write()
             self._write()
             self._writer.remark(f'{ENDED}{seconds(self._now().stamp)}')
@@ -127,7 +127,7 @@ class Recorder:
             gap, self._gap = self._gap, None
             self._waiting_bytes = 0
         for wire, chunk in waiting:
-            self._writer.take(wire, chunk)
+            self._writer.write_chunk(wire, chunk)
             if self._writer.size >= self._size:
                 self._file.close()
                 self._make_room()

@@ -35,10 +35,10 @@ from servobus.worker import Worker
 
 S = 1_000_000_000
 BEFORE_NS, AFTER_NS = 60 * S, 30 * S
-AGAIN_NS = 600 * S                 # the same finding of the same device makes no file for so long
-SIZE_LIMIT = 32_000_000            # bytes in memory, for each bus
-_CHUNK_SIZE = 250                  # bytes of memory that a chunk takes besides its data
-_WAITING_LIMIT = 1 << 30
+REPEAT_NS = 600 * S                # the same finding of the same device makes no file for so long
+MEMORY_MAX_BYTES = 32_000_000      # bytes in memory, for each bus
+CHUNK_OVERHEAD_BYTES = 250         # bytes of memory that a chunk takes besides its data
+WAITING_MAX_BYTES = 1 << 30
 _NAME, _NAME_SIZE = 'flight_', 80      # and the characters that follow the time
 _NOT_IN_NAMES = re.compile(r'[^\w.-]')
 
@@ -47,7 +47,7 @@ Cause = tuple[str, str, int | None]        # bus, finding, device
 
 class FlightRecorder:
     """
-    Keeps what all buses said; `look` with each report begins a file, and ends it when it is time.
+    Keeps what all buses said; `record_report` begins a file, and ends it when it is time.
 
     Raises ParameterError if the folder cannot be written to. `size`: of the folder, in bytes.
     All methods may be called from any thread.
@@ -59,7 +59,7 @@ class FlightRecorder:
         self.path = ''                     # where the newest file is
         self._folder = Path(folder)
         self._size = size
-        self._limit = buses * SIZE_LIMIT
+        self._limit = buses * MEMORY_MAX_BYTES
         self._now = now
         self._lock = threading.Lock()               # for what is kept
         self._deciding = threading.RLock()          # whether a file begins or ends
@@ -91,19 +91,19 @@ class FlightRecorder:
         """Have a thread for the files: when something happens, none may be left."""
         self._worker.start()
 
-    def take(self, wire: Wire, chunk: Chunk) -> None:
+    def record_chunk(self, wire: Wire, chunk: Chunk) -> None:
         """Keep a chunk; without waiting."""
         with self._lock:
             self._chunks.append((wire, chunk))
-            self._kept += len(chunk.data) + _CHUNK_SIZE
+            self._kept += len(chunk.data) + CHUNK_OVERHEAD_BYTES
             oldest = chunk.stamp - BEFORE_NS
             while self._kept > self._limit or self._chunks[0][1].stamp < oldest:
-                self._kept -= len(self._chunks.popleft()[1].data) + _CHUNK_SIZE
+                self._kept -= len(self._chunks.popleft()[1].data) + CHUNK_OVERHEAD_BYTES
             if self._file is not None:
-                self._file.take(wire, chunk)
+                self._file.record_chunk(wire, chunk)
 
-    def look(self, bus: str, report: BusReport) -> None:
-        """Take a report of a bus: what is new and WARN or worse, or a lost device, is recorded."""
+    def record_report(self, bus: str, report: BusReport) -> None:
+        """Begin a file for what is new and WARN or worse, or a lost device; end one in time."""
         with self._deciding:
             found: dict[Cause, str] = {
                 (bus, one.rule, one.device): f'{one.level.name} {one.message}'
@@ -124,7 +124,7 @@ class FlightRecorder:
     def _began(self, cause: Cause, text: str, now: Moment) -> None:
         bus, rule, device = cause
         words = f'{bus} {"bus" if device is None else f"{device:03}"} {rule}: {text}'
-        is_new = now.stamp - self._causes.get(cause, -AGAIN_NS) >= AGAIN_NS
+        is_new = now.stamp - self._causes.get(cause, -REPEAT_NS) >= REPEAT_NS
         if self._file is None and is_new:
             self._causes[cause] = now.stamp
             self.save(f'{bus}_{rule}' + ('' if device is None else f'_{device:03}'), now)
@@ -144,13 +144,13 @@ class FlightRecorder:
             name = _NOT_IN_NAMES.sub('_', why)[:_NAME_SIZE].strip('_')
             self.path = str(self._folder / f'{_NAME}{time}_{name}.txt')
             try:
-                file = Recorder(self.path, sys.maxsize, 0, self._now, _WAITING_LIMIT)
+                file = Recorder(self.path, sys.maxsize, 0, self._now, WAITING_MAX_BYTES)
             except (ParameterError, OSError) as error:
                 self.problem = f'flight recorder: {error}'
                 return ''
             with self._lock:
                 for wire, chunk in self._chunks:
-                    file.take(wire, chunk)
+                    file.record_chunk(wire, chunk)
                 first = self._chunks[0][1].stamp if self._chunks else now.stamp
                 self._file = file
             file.remark(f'flight recorder: recording of {why}, with the '

@@ -22,8 +22,7 @@ import threading
 import time
 from typing import NamedTuple
 
-from msg_defs.event import Change
-from msg_defs.event import UNKNOWN
+from msg_defs.event import Chunk
 from msg_defs.uart import byte_ns
 from msg_defs.uart import idle_s
 from servobus.bus.report import LineErrors
@@ -44,9 +43,8 @@ from servobus.sources.source_name import ways_to_hear
 
 ERRORS_EVERY_NS = 1_000_000_000
 # The process stamps, so its records can wait: many at a time cost a quarter less than a few.
-TAKE_EVERY_S = 0.05
-PROCESS_AGAIN_NS = 30_000_000_000       # until a process is tried again that did not start
-Piece = tuple[bytes, int, str]   # bytes, stamp, side
+RECORDS_EVERY_S = 0.05
+PROCESS_RETRY_NS = 30_000_000_000       # until a process is tried again that did not start
 STARTING = 'starting'           # the kind of state before the port was tried
 
 
@@ -72,25 +70,20 @@ class Listener:
     """
     A listener on one port; both callbacks come from its thread.
 
-    on_chunk(bytes, stamp[, side]) for what was read; on_idle(stamp) when nothing came until then,
-    a few times a second while it lasts. Without either, the port was not read. on_change(change,
-    stamp): what the source reported besides bytes; only some do (usb_listener.py,
-    tap_listener.py). on_pieces(pieces): what one read brought of a source with sides, (bytes,
-    stamp, side) each; without it each of them goes to on_chunk.
+    on_chunks(chunks) for what one read brought: bytes, and changes from a source that reports
+    some (usb_listener.py, tap_listener.py). on_idle(stamp) when nothing came until then, a few
+    times a second while it lasts. Without either, the port was not read. bus: for the chunks.
 
     | attributes | who writes them |
     |---|---|
-    | _stopping, _said | stop(), news(): the thread of the caller |
-    | port, _on_..., _gather_s, _take_every_s, _in_thread, _wake_..., _thread | set once |
+    | _stopping, _last_news | stop(), news(): the thread of the caller |
+    | port, _bus, _on_..., _records_every_s, _in_thread, _wake_..., _thread | set once |
     | all others | its thread: one value each, so that others read them without a lock |
     """
 
-    def __init__(self, port: str, baud: int, on_chunk: Callable[..., object],
-                 on_idle: Callable[[int], object] = lambda now: None, *,
-                 on_change: Callable[[Change, int], object] = lambda change, stamp: None,
-                 on_pieces: Callable[[Sequence[Piece]], object] | None = None,
-                 gather_s: float = reader.GATHER_S, take_every_s: float = TAKE_EVERY_S,
-                 in_thread: bool = False) -> None:
+    def __init__(self, port: str, baud: int, on_chunks: Callable[[Sequence[Chunk]], object],
+                 on_idle: Callable[[int], object] = lambda now: None, *, bus: str = '',
+                 records_every_s: float = RECORDS_EVERY_S, in_thread: bool = False) -> None:
         self.port = port
         self.baud = baud
         self.state = ListenerState(False, STARTING, f'{port}: not opened yet')
@@ -98,12 +91,10 @@ class Listener:
         self.low_latency = False
         self.reader_pid: int | None = None           # the process that reads at present
         self.listened = 0            # stamp (ns) up to which all that came was handed on
-        self._on_chunk = on_chunk
+        self._bus = bus
+        self._on_chunks = on_chunks
         self._on_idle = on_idle
-        self._on_change = on_change
-        self._on_pieces = on_pieces or self._each_piece
-        self._gather_s = gather_s
-        self._take_every_s = take_every_s
+        self._records_every_s = records_every_s
         self._in_thread = in_thread
         self._bytes = self._reads = self._openings = self._largest_gap = 0
         self._backoff = Backoff()
@@ -113,7 +104,8 @@ class Listener:
         self._errors_before = LineErrors()           # before this opening
         self._errors_at_opening: LineErrors | None = None
         self._stopping = False
-        self._said = ''              # by news()
+        self._last_news = ''
+        self._thread_reason = ''     # why no process reads
         self._wake_read, self._wake_write = os.pipe()
         self._thread = threading.Thread(target=self._run, name=f'listener {port}', daemon=True)
 
@@ -132,9 +124,9 @@ class Listener:
         """Return why the port is not open, or that it is again, if that is new to the caller."""
         state = self.state
         words = '' if state.is_open else state.text
-        if words == self._said:
+        if words == self._last_news:
             return ''
-        self._said = words
+        self._last_news = words
         return words or f'{self.port}: the port is open again'
 
     def problems(self) -> list[str]:
@@ -196,9 +188,9 @@ class Listener:
 
     def _opened(self, words: str) -> None:
         self._openings += 1
-        self._say_open(words)
+        self._set_open(words)
 
-    def _say_open(self, words: str) -> None:
+    def _set_open(self, words: str) -> None:
         self.state = ListenerState(True, '', f'{self.port}: {words}')
 
     def _listen(self, port: Port) -> None:
@@ -207,39 +199,32 @@ class Listener:
         if port.fd is None or self._in_thread:
             self._listen_in_thread(port)
             return
-        words, problem = f'open at {self.baud} baud', ''
-
-        def take(record: Record) -> None:
-            nonlocal problem
-            if problem:
-                problem = ''
-                self._say_open(words)
-            self._take(port, record)
-
-        start = partial(ReaderProcess, port.fd, self.idle_s, self._gather_s, self._wake_read,
+        words = f'open at {self.baud} baud'
+        start = partial(ReaderProcess, port.fd, self.idle_s, reader.GATHER_S, self._wake_read,
                         byte_ns=byte_ns(self.baud))
         while not self._stopping:
-            if found := self._listen_by_process(words, take, start):
-                problem = found
-                self._say_open(f'{words}; its reader process did not start ({problem}), so the '
-                               'node reads it and may lose bytes under load')
-                self._listen_in_thread(port, PROCESS_AGAIN_NS)
+            self._thread_reason = self._listen_by_process(
+                words, partial(self._accept_record, port), start)
+            if self._thread_reason:
+                self._set_open(f'{words}; its reader process did not start '
+                               f'({self._thread_reason}), so the node reads it and may lose '
+                               'bytes under load')
+                self._listen_in_thread(port, PROCESS_RETRY_NS)
 
     def _listen_in_thread(self, port: Port, ns: float = math.inf) -> None:
         def wait(seconds: float) -> bool:
             return port.wait(seconds, self._wake_read)
 
-        def hear(chunk: bytes, stamp: int) -> None:
+        def deliver(data: bytes, stamp: int) -> None:
             self._largest_gap = max(self._largest_gap, loop.largest_gap)
-            self._hear(chunk, stamp)
+            self._deliver(Chunk(stamp, self._bus, data))
 
-        loop = reader.Loop(wait, port.read, hear, self._idle,
-                           idle_s=self.idle_s, gather_s=self._gather_s,
-                           byte_ns=byte_ns(self.baud))
+        loop = reader.Loop(wait, port.read, deliver, self._report_idle,
+                           idle_s=self.idle_s, byte_ns=byte_ns(self.baud))
         end = time.monotonic_ns() + ns
         loop.run(lambda: self._stopping or time.monotonic_ns() > end)
 
-    def _listen_by_process(self, words: str, take: Callable[[Record], object],
+    def _listen_by_process(self, words: str, accept_record: Callable[[Record], object],
                            start: Callable[[], ReaderProcess]) -> str:
         """Have a process read until we are stopped; return why that cannot be, if so."""
         while not self._stopping:
@@ -250,16 +235,17 @@ class Listener:
             except MemoryError:
                 return 'no memory is left'
             with process:
-                was_ready = self._follow(process, take)
+                was_ready = self._read_records(process, words, accept_record)
                 if not was_ready and not self._stopping:
                     return f'it ends at once with {process.end()}'
             if not self._stopping:
-                self._say_open(f'{words}; the reader process ended with {process.end()}, a new '
+                self._set_open(f'{words}; the reader process ended with {process.end()}, a new '
                                'one continues')
         return ''
 
-    def _follow(self, process: ReaderProcess, take: Callable[[Record], object]) -> bool:
-        """Take what the process says until it ends or we are stopped; return whether it spoke."""
+    def _read_records(self, process: ReaderProcess, words: str,
+                      accept_record: Callable[[Record], object]) -> bool:
+        """Read records until the process ends or we are stopped; return whether any came."""
         was_ready = False
         self.reader_pid = process.pid
         try:
@@ -267,49 +253,37 @@ class Listener:
                 if process.wait():
                     for record in process.records():
                         was_ready = True
+                        if self._thread_reason:
+                            self._thread_reason = ''
+                            self._set_open(words)
                         self._largest_gap = max(self._largest_gap, record.largest_gap)
-                        take(record)
-                    time.sleep(self._take_every_s)
+                        accept_record(record)
+                    time.sleep(self._records_every_s)
         finally:
             self.reader_pid = None
         return was_ready
 
-    def _take(self, port: Port, record: Record) -> None:
+    def _accept_record(self, port: Port, record: Record) -> None:
         if record.kind == reader.CHUNK:
-            self._hear(record.data, record.stamp)
+            self._deliver(Chunk(record.stamp, self._bus, record.data))
         elif record.kind == reader.IDLE:
-            self._idle(record.stamp)
+            self._report_idle(record.stamp)
         elif record.kind == reader.LOST:
             raise port.lost(OSError(int(record.data), ''))
 
-    def _hear(self, chunk: bytes, stamp: int, side: str = UNKNOWN) -> None:
-        """Count and hand on what was read."""
-        self._count(len(chunk))
-        if side:
-            self._on_chunk(chunk, stamp, side)
-        else:
-            self._on_chunk(chunk, stamp)
-        self.listened = stamp
+    def _deliver(self, *chunks: Chunk) -> None:
+        """Count and hand on what one read brought."""
+        if size := sum(len(chunk.data) for chunk in chunks):
+            self._bytes += size
+            self._reads += 1
+            self._backoff.reset()
+        self._on_chunks(chunks)
+        self.listened = stamp = chunks[-1].stamp
         if stamp - self._errors_at > ERRORS_EVERY_NS:
             self._errors_at = stamp
             self._count_errors()
 
-    def _hear_pieces(self, pieces: Sequence[Piece]) -> None:
-        """Count and hand on what one read brought, in pieces with a side and a stamp each."""
-        self._count(sum(len(data) for data, _, _ in pieces))
-        self._on_pieces(pieces)
-        self.listened = pieces[-1][1]
-
-    def _count(self, size: int) -> None:
-        self._bytes += size
-        self._reads += 1
-        self._backoff.reset()
-
-    def _each_piece(self, pieces: Sequence[Piece]) -> None:
-        for piece in pieces:
-            self._on_chunk(*piece)
-
-    def _idle(self, stamp: int) -> None:
+    def _report_idle(self, stamp: int) -> None:
         self._on_idle(stamp)
         self.listened = stamp
 

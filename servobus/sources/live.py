@@ -5,14 +5,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from collections.abc import Sequence
 import queue
 import sys
 import time
 
 from msg_defs.event import BAUD
-from msg_defs.event import Change
 from msg_defs.event import Chunk
-from msg_defs.event import UNKNOWN
 from servobus.sources.capture import Wire
 from servobus.sources.capture_recorder import moment
 from servobus.sources.listener import STARTING
@@ -23,7 +22,7 @@ from servobus.sources.source_name import has_sides
 from servobus.sources.source_name import rate_of
 
 TICK_S = 0.1
-QUEUED_LIMIT = 100_000             # chunks that wait because our output is not taken
+QUEUED_CHUNKS_MAX = 100_000        # chunks that wait because our output is not taken
 
 
 class LivePort(Source):
@@ -40,7 +39,7 @@ class LivePort(Source):
         baud = rate_of(name, baud)
         self._queue: queue.SimpleQueue[Chunk] = queue.SimpleQueue()
         self._lost = 0
-        self._listener = listener_on(name, baud, self._take, on_change=self._change)
+        self._listener = listener_on(name, baud, self._queue_chunks, bus=self._bus)
         self._listener.start()
         while self._listener.state.kind == STARTING:
             time.sleep(0.005)
@@ -52,15 +51,12 @@ class LivePort(Source):
             print(f'{tool}: {self._listener.state.text}', file=sys.stderr)
         self.wires[self._bus] = Wire(self._bus, baud, self._listener.latency_timer_ms or 0, name)
 
-    def _take(self, data: bytes, stamp: int, side: str = UNKNOWN) -> None:
-        if self._queue.qsize() > QUEUED_LIMIT:
-            self._lost += len(data)
-        else:
-            self._queue.put(Chunk(stamp, self._bus, data, side))
-
-    def _change(self, change: Change, stamp: int) -> None:
-        if change.what != BAUD or not self._overrides:
-            self._queue.put(Chunk(stamp, self._bus, change=change))
+    def _queue_chunks(self, chunks: Sequence[Chunk]) -> None:
+        for chunk in chunks:
+            if chunk.data and self._queue.qsize() > QUEUED_CHUNKS_MAX:
+                self._lost += len(chunk.data)
+            elif not (self._overrides and chunk.change and chunk.change.what == BAUD):
+                self._queue.put(chunk)
 
     def chunks(self) -> Iterator[Chunk | None]:
         while True:

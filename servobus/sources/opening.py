@@ -29,8 +29,8 @@ from servobus.sources.source import File
 from servobus.sources.source import RawFile
 from servobus.sources.source import Source
 from servobus.sources.source_name import is_live
-from servobus.sources.usb_events import is_usb
-from servobus.sources.usb_events import may_be_usb
+from servobus.sources.usb_source import is_usb
+from servobus.sources.usb_source import may_be_usb
 from servobus.sources.usb_source import UsbFile
 
 HEAD_SIZE = 64

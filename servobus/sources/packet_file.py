@@ -23,9 +23,9 @@ from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
 from msg_defs.uart import byte_ns
-from servobus.sources.capture import BAUD_LIMIT
-from servobus.sources.capture import DIGITS_LIMIT
+from servobus.sources.capture import BAUD_MAX
 from servobus.sources.capture import Moment
+from servobus.sources.capture import VALUE_MAX_DIGITS
 from servobus.sources.capture import Wire
 from servobus.sources.pcap import ABOUT
 from servobus.sources.pcap import CapturedPacket
@@ -132,7 +132,7 @@ class PacketFile(File):
         wire = self.wires.get(bus)
         if wire is None:
             wire = self.wires[bus] = Wire(
-                bus, self._baud or min(packet.interface.speed, BAUD_LIMIT) or DEFAULT_BAUD,
+                bus, self._baud or min(packet.interface.speed, BAUD_MAX) or DEFAULT_BAUD,
                 port=packet.interface.about)
         for comment in packet.comments:
             if change := _change(comment):
@@ -150,5 +150,5 @@ class PacketFile(File):
 def _change(comment: str) -> Change | None:
     what, _, value = comment.removeprefix(_EVENT).partition(' ')
     is_one = comment.startswith(_EVENT) and what in CHANGES and value.isdecimal() \
-        and len(value) <= DIGITS_LIMIT
+        and len(value) <= VALUE_MAX_DIGITS
     return Change(what, int(value)) if is_one else None

@@ -12,8 +12,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 import struct
 from typing import Any
+from typing import BinaryIO
 from typing import NamedTuple
-from typing import Protocol
 
 from servobus.plain import printable
 
@@ -27,8 +27,8 @@ NAME, ABOUT, SPEED, RESOLUTION, _OFFSET = 2, 3, 8, 9, 14       # options of an i
 COMMENT, FLAGS = 1, 2            # options of a packet
 _NS = 1_000_000_000
 MAGIC_SIZE = 4
-BLOCK_LIMIT = 1 << 26              # bytes: no packet of USB is near that
-INTERFACES_LIMIT = 4096
+BLOCK_MAX_BYTES = 1 << 26          # bytes: no packet of USB is near that
+INTERFACES_MAX = 4096
 
 
 class Interface(NamedTuple):
@@ -57,10 +57,6 @@ class CapturedPacket(NamedTuple):
         return self.interface.link
 
 
-class _Reads(Protocol):
-    def read(self, size: int, /) -> bytes: ...
-
-
 class _Damaged(Exception):
     """The file is not as it should be from here on: in words."""
 
@@ -75,7 +71,7 @@ def is_pcap(head: bytes) -> bool:
 class PcapReader:
     """The packets of a file; `problem` says at the end why it was not read to its end."""
 
-    def __init__(self, file: _Reads) -> None:
+    def __init__(self, file: BinaryIO) -> None:
         self.problem = ''
         self.position = 0          # bytes read
         self._file = file
@@ -104,7 +100,7 @@ class PcapReader:
         head = struct.Struct(self._order + 'IIII')
         while front := self._some(head.size, 'the header of a packet'):
             seconds, fraction, kept, _ = head.unpack(front)
-            if kept > BLOCK_LIMIT:
+            if kept > BLOCK_MAX_BYTES:
                 raise _Damaged(f'a packet of {kept} bytes: damaged')
             data = self._exactly(kept, 'a packet')
             stamp = seconds * _NS + fraction * unit
@@ -139,7 +135,7 @@ class PcapReader:
 
     def _body(self, size: int, done: int = 8) -> bytes:
         """Read the rest of a block of which `done` bytes were read, and check its end."""
-        if size % 4 or not done + 4 <= size <= BLOCK_LIMIT:
+        if size % 4 or not done + 4 <= size <= BLOCK_MAX_BYTES:
             raise _Damaged(f'a block of {size} bytes: damaged')
         body = self._exactly(size - done, 'a block')
         if self._unpack('I', body[-4:])[0] != size:
@@ -147,7 +143,7 @@ class PcapReader:
         return body[:-4]
 
     def _interface(self, body: bytes) -> None:
-        if len(body) < 8 or len(self._interfaces) >= INTERFACES_LIMIT:
+        if len(body) < 8 or len(self._interfaces) >= INTERFACES_MAX:
             raise _Damaged('a description of an interface that makes no sense: damaged')
         one = Interface(self._unpack('H', body)[0])
         for code, value in self._options(body[8:]):
@@ -198,9 +194,6 @@ class PcapReader:
         """Read so many bytes, or nothing at the end of the file."""
         data = self._file.read(size)
         self.position += len(data)
-        while data and len(data) < size and (more := self._file.read(size - len(data))):
-            data += more
-            self.position += len(more)
         if data and len(data) < size:
             raise _Damaged(f'it ends within {what}: cut off, or still being written')
         return data

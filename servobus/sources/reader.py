@@ -32,18 +32,19 @@ GATHER_S = 0.001
 # left is for a process that comes 5.7 ms late at 4.5 MBd.
 GATHER_LONGEST_S = 0.004
 GATHER_BYTES = 1536
-FULL = 0.75                      # at least this share of the time there were bytes on the line
+FULL_SHARE = 0.75                # at least this share of the time there were bytes on the line
 BUSY_NS = 3_000_000
 AT_ONCE_NS = 50_000              # waiting was so short that bytes were there already
-SILENT_S = 0.25                  # how long to wait once the line was reported idle
+SILENT_WAIT_S = 0.25             # how long to wait once the line was reported idle
 READ_SIZE = 65_536
-NAME = 'dxl_reader'              # what the process is called
+PROCESS_NAME = 'dxl_reader'      # what the process is called
 
 # A record: its kind, a stamp, the largest gap so far (both ns), the size of the bytes after it.
 HEAD = struct.Struct('<cqqI')
 READY, CHUNK, IDLE, LOST = b'r', b'c', b'i', b'l'       # LOST: the bytes are the error number
 DROPPED = b'd'                   # the bytes are how many events the kernel had no room for
 _CONTROL = 0                     # standard input: it ends when the node wants that, or dies
+_RECORDS = 1                     # standard output; writing there may block
 _IGNORED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)
 
 
@@ -78,13 +79,13 @@ class Loop:
         self._last_read = reported = clock()
         is_idle = True
         while not is_over():
-            if self._is_full and self._take(True):
+            if self._is_full and self._read_chunk(True):
                 reported = clock()
                 continue
             begin = clock()
-            patience_s = SILENT_S if is_idle else self._idle_s
+            patience_s = SILENT_WAIT_S if is_idle else self._idle_s
             if self._wait(patience_s):
-                if self._take(clock() - begin < AT_ONCE_NS):
+                if self._read_chunk(clock() - begin < AT_ONCE_NS):
                     is_idle = False
                     reported = clock()
                 else:                  # there was something, and nothing for us
@@ -98,7 +99,7 @@ class Loop:
                 # Up to the end of the wait: we may have been stopped since, with bytes coming in.
                 self._on_idle(min(clock(), begin + int(patience_s * 1e9)))
 
-    def _take(self, was_waiting: bool) -> bool:
+    def _read_chunk(self, was_waiting: bool) -> bool:
         """Read and hand on what is there; `was_waiting`: it was there before we came back."""
         if time.monotonic_ns() - self._last_read < BUSY_NS:
             time.sleep(self._gather_s)
@@ -110,7 +111,7 @@ class Loop:
         since = stamp - self._last_read
         if was_waiting:
             self.largest_gap = max(self.largest_gap, since)
-        self._is_full = len(chunk) * self._byte_ns > FULL * since
+        self._is_full = len(chunk) * self._byte_ns > FULL_SHARE * since
         self._gather_s = (min(2 * self._gather_s, self._longest_s) if self._is_full
                           else self._shortest_s)
         self._last_read = stamp
@@ -119,12 +120,10 @@ class Loop:
 
 
 class _Process:
-    """Reads `port` and writes records to `pipe`, which may block."""
+    """Reads `port` and writes records to standard output."""
 
-    def __init__(self, port: int, pipe: int, idle_s: float, gather_s: float,
-                 byte_ns: float) -> None:
+    def __init__(self, port: int, idle_s: float, gather_s: float, byte_ns: float) -> None:
         self._port = port
-        self._pipe = pipe
         self._poll = select.poll()
         self._poll.register(port, select.POLLIN)
         self._poll.register(_CONTROL, select.POLLIN)
@@ -177,17 +176,17 @@ class _Process:
     def _write(self, kind: bytes, stamp: int, data: bytes = b'') -> None:
         record = HEAD.pack(kind, stamp, self._loop.largest_gap, len(data)) + data
         while record:
-            record = record[os.write(self._pipe, record):]
+            record = record[os.write(_RECORDS, record):]
 
 
 def main(arguments: list[str]) -> None:
-    """Be the process; arguments: port and pipe (descriptors), idle_s, gather_s, byte_ns, [usb]."""
+    """Be the process; arguments: port (a descriptor), idle_s, gather_s, byte_ns, [usb]."""
     for number in _IGNORED:             # they are for the node; when it goes, this goes
         signal.signal(number, signal.SIG_IGN)
     with suppress(OSError), open('/proc/self/comm', 'w') as name:
-        name.write(NAME)
-    port, pipe, idle_s, gather_s, byte_ns, *usb = arguments
-    _Process(int(port), int(pipe), float(idle_s), float(gather_s), float(byte_ns)).run(usb)
+        name.write(PROCESS_NAME)
+    port, idle_s, gather_s, byte_ns, *usb = arguments
+    _Process(int(port), float(idle_s), float(gather_s), float(byte_ns)).run(usb)
 
 
 if __name__ == '__main__':

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from collections.abc import Sequence
-from contextlib import ExitStack
 from contextlib import suppress
 import fcntl
 import os
@@ -24,7 +23,7 @@ from servobus.sources import reader
 
 PIPE_SIZE = 1 << 20              # two seconds at 4.5 MBd; what root's limit allows everybody
 READ_SIZE = 65_536
-END_S = 0.1                      # how long it may take to end by itself
+END_WAIT_S = 0.1                 # how long it may take to end by itself
 
 
 class Record(NamedTuple):
@@ -48,23 +47,19 @@ class ReaderProcess:
         """
         self.is_over = False             # it ended, by itself or by force; all it said was taken
         self._rest = b''
-        with ExitStack() as ours, ExitStack() as its:
-            self._pipe, pipe = os.pipe()
-            ours.callback(os.close, self._pipe)
-            its.callback(os.close, pipe)
-            control, lifeline = os.pipe()
-            ours.callback(os.close, lifeline)
-            its.callback(os.close, control)
-            null = its.enter_context(open(os.devnull, 'wb', 0))
-            with suppress(OSError):      # too many large pipes: then it has the usual 64 KiB
-                fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, PIPE_SIZE)
-            self._process = subprocess.Popen(
-                # -I -S: none of the environment's Python paths and hooks, no site-packages.
-                [sys.executable, '-I', '-S', reader.__file__, str(port), str(pipe), str(idle_s),
-                 str(gather_s), str(byte_ns), *map(str, usb)],
-                pass_fds=(port, pipe), stdin=control, stdout=null, stderr=null, cwd='/',
-                start_new_session=True)
-            self._ours = ours.pop_all()
+        self._process = subprocess.Popen(
+            # -I -S: none of the environment's Python paths and hooks, no site-packages.
+            [sys.executable, '-I', '-S', reader.__file__,
+             *map(str, (port, idle_s, gather_s, byte_ns, *usb))],
+            pass_fds=[port], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL, bufsize=0, cwd='/', start_new_session=True)
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._lifeline = self._process.stdin
+        self._records = self._process.stdout
+        self._pipe = self._records.fileno()
+        with suppress(OSError):              # too many large pipes: then it has the usual 64 KiB
+            fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, PIPE_SIZE)
         self.pid = self._process.pid
         self._poll = select.poll()
         self._poll.register(self._pipe, select.POLLIN)
@@ -97,9 +92,10 @@ class ReaderProcess:
 
     def end(self) -> str:
         """End it, unless it has ended, and return how it did: 'signal 9', 'exit code 0'."""
-        self._ours.close()
+        self._lifeline.close()
+        self._records.close()
         try:
-            code = self._process.wait(END_S)
+            code = self._process.wait(END_WAIT_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             code = self._process.wait()

@@ -13,7 +13,7 @@ from servobus.sources.flight_recorder import FlightRecorder
 
 
 class Recorders:
-    """Those that are not None. take may be called from any thread."""
+    """Those that are not None. record_chunk may be called from any thread."""
 
     def __init__(self, capture: Recorder | None, flight: FlightRecorder | None) -> None:
         self.flight = flight
@@ -22,7 +22,7 @@ class Recorders:
             self._all['Capture'] = capture
         if flight is not None:
             self._all['Flight recorder'] = flight
-        self._said: dict[str, str] = {}
+        self._last_news: dict[str, str] = {}
 
     def __bool__(self) -> bool:
         return bool(self._all)
@@ -35,9 +35,9 @@ class Recorders:
         """Return what each does, for a status."""
         return [(name, one.words) for name, one in self._all.items()]
 
-    def take(self, wire: Wire, chunk: Chunk) -> None:
+    def record_chunk(self, wire: Wire, chunk: Chunk) -> None:
         for one in self._all.values():
-            one.take(wire, chunk)
+            one.record_chunk(wire, chunk)
 
     def save(self) -> tuple[bool, str]:
         """Have the flight recorder write; return whether it does, and its file or why not."""
@@ -56,6 +56,6 @@ class Recorders:
     def news(self) -> Iterator[tuple[str, bool]]:
         """Yield what is new since the last call, and whether it is a problem."""
         for name, one in self._all.items():
-            if one.words != self._said.get(name):
-                self._said[name] = one.words
+            if one.words != self._last_news.get(name):
+                self._last_news[name] = one.words
                 yield one.words, bool(one.problem)

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from collections.abc import Sequence
 from contextlib import suppress
 import fcntl
@@ -71,8 +70,8 @@ def why_not() -> str:
     other = tracer('self')
     if other:
         return f'process {other} traces this one already; start it without that'
-    said = (tried.stderr.strip() or 'strace fails').splitlines()[-1]
-    return (f'{said}; a container needs --cap-add SYS_PTRACE, and kernel.yama.ptrace_scope must '
+    reason = (tried.stderr.strip() or 'strace fails').splitlines()[-1]
+    return (f'{reason}; a container needs --cap-add SYS_PTRACE, and kernel.yama.ptrace_scope must '
             'be below 2; or listen to usb:/dev/ttyUSB0')
 
 
@@ -87,30 +86,15 @@ def loses_rights(program: str) -> bool:
     return False
 
 
-def start(command: Sequence[str], env: dict[str, str], name: str, folder: str,
-          stdout: int | None) -> _Pair:
+def start(env: dict[str, str], name: str, folder: str, command: Sequence[str] = (),
+          stdout: int | None = None, process: int = 0) -> _Pair:
     """
-    Start a program as our child; return it and the relay, which sends to listeners of a tap.
+    Let strace hear a command, which becomes our child, or a process that runs.
 
-    name: of the tap. folder: an empty one, for this alone. The relay ends with
-    the last process of the program, or with strace; strace ends with the relay, and leaves the
-    program alone.
+    Return the child (strace, for a process that runs) and the relay, which sends to listeners of
+    the tap `name`. folder: an empty one, for this alone. The relay ends with the last process of
+    the program, or with strace; strace ends with the relay, and leaves the program alone.
     """
-    return _run(env, name, folder, lambda options: subprocess.Popen(
-        [*options, '--', *command], env=env, stdout=stdout))
-
-
-def attach(process: int, env: dict[str, str], name: str, folder: str) -> _Pair:
-    """Let strace hear a process that runs; return strace and the relay, as start() does."""
-    return _run(env, name, folder, lambda options: subprocess.Popen(
-        [one for one in options if one != OPTIONS[0]] + ['-p', str(process)],
-        start_new_session=True), process)
-
-
-def _run(env: dict[str, str], name: str, folder: str,
-         begin: Callable[[list[str]], subprocess.Popen[bytes]],
-         process: int = 0) -> _Pair:
-    """Begin strace; process: which it traces, 0: its own."""
     fifo = os.path.join(folder, 'strace')      # it opens that: not for the program
     os.mkfifo(fifo, 0o600)
     theirs = os.open(fifo, os.O_RDONLY | os.O_NONBLOCK)
@@ -123,7 +107,12 @@ def _run(env: dict[str, str], name: str, folder: str,
             [sys.executable, '-I', '-S', '-c', _RELAY.format(str(_ROOT)), name], env=env,
             stdin=theirs, stdout=subprocess.DEVNULL, start_new_session=True)
         paths = [part for path in sorted(ports()) for part in ('-P', path)]
-        child = begin(['strace', *OPTIONS, *paths, '-o', fifo])
+        options = ['strace', *OPTIONS, *paths, '-o', fifo]
+        if process:
+            options.remove(OPTIONS[0])         # the program is no child of ours
+            child = subprocess.Popen([*options, '-p', str(process)], start_new_session=True)
+        else:
+            child = subprocess.Popen([*options, '--', *command], env=env, stdout=stdout)
         until_s = time.monotonic() + START_S
         while not tracer(process or child.pid) and child.poll() is None \
                 and time.monotonic() < until_s:
@@ -137,11 +126,11 @@ def _run(env: dict[str, str], name: str, folder: str,
 
 def tracer(process: int | str) -> int:
     """Return the process that traces this one, 0 for none."""
-    said = file_text(Path(f'/proc/{process}/status')).partition('TracerPid:\t')[2]
-    return int(said.partition('\n')[0] or 0)
+    text = file_text(Path(f'/proc/{process}/status')).partition('TracerPid:\t')[2]
+    return int(text.partition('\n')[0] or 0)
 
 
-def doubts(process: int, used: set[str] | None = None) -> set[str]:
+def unheard(process: int, used: set[str] | None = None) -> set[str]:
     """
     Return what of a program and its children is not heard, or not as it should be.
 
@@ -156,13 +145,13 @@ def doubts(process: int, used: set[str] | None = None) -> set[str]:
             for file in (folder / 'fd').iterdir():
                 path = os.readlink(file)
                 if PORT.fullmatch(path):
-                    found |= _doubts_of_port(folder, int(file.name), path, used)
+                    found |= _unheard_on_port(folder, int(file.name), path, used)
                 elif used is None:
                     found |= {text for begin, text in _NOT_HEARD.items() if path.startswith(begin)}
     return found
 
 
-def _doubts_of_port(folder: Path, number: int, path: str, used: set[str] | None) -> set[str]:
+def _unheard_on_port(folder: Path, number: int, path: str, used: set[str] | None) -> set[str]:
     if number < 3 or path not in ports():      # a terminal
         return set()
     if used is not None:

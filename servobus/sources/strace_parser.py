@@ -35,9 +35,9 @@ from servobus.sources.tap_sender import OPENED
 PORT = re.compile(r'/dev/(?:(?!ttyprintk)tty[A-Za-z]\w*|rfcomm\d+|pts/\d+)')
 AT_ONCE_NS = 200_000               # between two calls: strace, not the program
 AWAY_NS = 500_000                  # who looks as often does not sleep
-TRACED_NS = 500_000                # strace took so long: worth an event
-LATE_NS = 20_000_000               # a write that takes longer has the time before its end
-DATA_LIMIT = 65_536                # bytes that strace prints of a call
+TRACED_MIN_NS = 500_000            # strace took so long: worth an event
+WRITE_LATE_NS = 20_000_000         # a write that takes longer has the time before its end
+PRINTED_MAX_BYTES = 65_536         # bytes that strace prints of a call
 _WRITES = frozenset(('write', 'pwrite64', 'writev', 'pwritev', 'pwritev2'))
 _READS = frozenset(('read', 'pread64', 'readv', 'preadv', 'preadv2'))
 _WAITS = frozenset(('poll', 'ppoll', 'select', 'pselect6'))
@@ -47,7 +47,7 @@ _OTHERS = ('open', 'openat', 'openat2', 'creat', 'close', 'dup', 'dup2', 'dup3',
 _DEADLY = 'SEGV,ABRT,BUS,ILL,FPE,SYS,TRAP,KILL,TERM,INT,HUP'        # else their end is not printed
 # -DDD: the program stays the child of who starts it; strace is out of the terminal's reach.
 # -I1: strace ends, and leaves the program alone, when its output has no reader.
-OPTIONS = ('-DDD', '-f', '-I1', '-q', '-y', '-v', '-xx', '-X', 'raw', '-s', str(DATA_LIMIT),
+OPTIONS = ('-DDD', '-f', '-I1', '-q', '-y', '-v', '-xx', '-X', 'raw', '-s', str(PRINTED_MAX_BYTES),
            '--absolute-timestamps=format:unix,precision:ns', '--relative-timestamps=ns',
            '--syscall-times=ns', '-e', 'signal=' + _DEADLY, '-e', 'trace=' + ','.join(
                f'?{name}' for name in (*sorted(_WRITES | _READS | _WAITS | _UNSEEN), *_OTHERS)))
@@ -117,9 +117,9 @@ class StraceParser:
             thread, second, part, seconds, nanoseconds = map(int, found.groups()[:5])
             self._now = self._now + seconds * 10**9 + nanoseconds if self._now \
                 else max(1, second * 10**9 + part + ahead)
-            yield from self._take(thread, found[6])
+            yield from self._parse_text(thread, found[6])
 
-    def _take(self, thread: int, text: bytes) -> PortEvents:
+    def _parse_text(self, thread: int, text: bytes) -> PortEvents:
         is_resumed = text.startswith(b'<... ')
         if is_resumed:
             begin = self._unfinished.pop(thread, b'')
@@ -135,23 +135,13 @@ class StraceParser:
             return
         took = int(found[5]) * 10**9 + int(found[6]) if found[5] else 0
         end = self._now + (0 if is_resumed else took)
-        yield from self._call(found, thread, end - took, end)
+        yield from self._parse_call(found, thread, end - took, end)
 
-    def _call(self, found: re.Match[bytes], thread: int, begin: int,
-              end: int) -> PortEvents:
+    def _parse_call(self, found: re.Match[bytes], thread: int, begin: int,
+                    end: int) -> PortEvents:
         name, arguments, result = found[1].decode(), found[2], int(found[3])
-        gap = begin - self._ended.get(thread, 0)
-        took = end - begin
-        away = gap if gap >= AWAY_NS and took < AT_ONCE_NS and thread in self._ended else 0
-        self._ended[thread] = end
-        if gap < AT_ONCE_NS:
-            self._resume = _median(self._resume, gap)
-        if took > (AT_ONCE_NS if name in _WRITES else 2 * self._short):
-            self._held[thread] = self._short / 2       # it waited, and strace with it
-        else:
-            self._held[thread] = self._held.get(thread, 0.0) + took + (
-                gap if gap < 2 * self._resume else self._resume)
-        self._wait(name, arguments, result, end, away)
+        away = self._account_time(thread, name, begin, end)
+        self._remember_wait(name, arguments, result, end, away)
         yield from self._hold(_text(found[4] or b''), thread, result, end)
         first = _FD.match(arguments)
         port = '' if first is None else _text(first[2])
@@ -167,11 +157,11 @@ class StraceParser:
         elif name in _UNSEEN and result > 0:
             yield PortEvent(end, port, LOST, value=1)
         elif name in _WRITES and result >= 0:
-            stamp = max(begin, end - LATE_NS)
-            if took < AT_ONCE_NS:
-                stamp, self._short = end, _median(self._short, took)
+            stamp = max(begin, end - WRITE_LATE_NS)
+            if end - begin < AT_ONCE_NS:
+                stamp, self._short = end, _median(self._short, end - begin)
             yield from self._rate(port, stamp)
-            yield from self._write(port, stamp, self._held.pop(thread))
+            yield from self._before_write(port, stamp, self._held.pop(thread))
             yield from self._transfer(port, OUT, arguments, result, stamp, thread)
         elif name in _READS and result > 0:
             yield from self._rate(port, end)
@@ -181,8 +171,23 @@ class StraceParser:
         elif name in _READS:                   # also -1: EAGAIN
             self._looked[port] = end, 0
 
-    def _wait(self, name: str, arguments: bytes, result: int, end: int, away: int) -> None:
-        """Take note of what a program waits for; away: as in _was_away(), 0: it waited."""
+    def _account_time(self, thread: int, name: str, begin: int, end: int) -> int:
+        """Count what strace held the thread; return for how long (ns) that slept, 0: it waited."""
+        gap, took = begin - self._ended.get(thread, 0), end - begin
+        away = gap if gap >= AWAY_NS and took < AT_ONCE_NS and thread in self._ended else 0
+        self._ended[thread] = end
+        if gap < AT_ONCE_NS:
+            self._resume = _median(self._resume, gap)
+        if took > (AT_ONCE_NS if name in _WRITES else 2 * self._short):
+            self._held[thread] = self._short / 2       # it waited, and strace with it
+        else:
+            self._held[thread] = self._held.get(thread, 0.0) + took + (
+                gap if gap < 2 * self._resume else self._resume)
+        return away
+
+    def _remember_wait(self, name: str, arguments: bytes, result: int, end: int,
+                       away: int) -> None:
+        """Remember what a program waits for; away: as in _was_away(), 0: it waited."""
         if name in _WAITS and result >= 0:
             ports = [_text(path) for _, path in _FD.findall(arguments)]
             self._looked |= dict.fromkeys(ports, (end, result))
@@ -196,13 +201,13 @@ class StraceParser:
         arrived = ready if result and begin - ready <= AT_ONCE_NS else end
         return arrived - int(self._short / 2)
 
-    def _write(self, port: str, stamp: int, held: float) -> PortEvents:
+    def _before_write(self, port: str, stamp: int, held: float) -> PortEvents:
         """Say what the program did before a write: looked for bytes in vain, waited for strace."""
         yield from self._vain(port, stamp)
         self._looked.pop(port, None)
         self._away.pop(port, None)
         self._traced[port] = self._traced.get(port, 0) + int(held)
-        if self._traced[port] >= TRACED_NS:
+        if self._traced[port] >= TRACED_MIN_NS:
             yield PortEvent(stamp, port, TRACED, value=self._traced.pop(port) // 1000)
 
     def _was_away(self, port: str, stamp: int, away: int) -> PortEvents:
@@ -255,7 +260,7 @@ class StraceParser:
             yield PortEvent(stamp, port, BAUD, value=self._rates.pop(port))
 
     def _hold(self, port: str, thread: int, descriptor: int, stamp: int) -> PortEvents:
-        """Take note that a thread's process has a port open."""
+        """Remember that a thread's process has a port open."""
         if not PORT.fullmatch(port):
             return
         holders = self._holders.setdefault(port, set())
@@ -271,7 +276,7 @@ class StraceParser:
         holders -= gone
 
     def _end(self, thread: int) -> PortEvents:
-        """Take note of the end of a thread; with the first of a process its ports are closed."""
+        """Forget a thread that ended; with the first of a process its ports are closed."""
         self._unfinished.pop(thread, None)
         self._ended.pop(thread, None)
         self._held.pop(thread, None)

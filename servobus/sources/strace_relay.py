@@ -34,10 +34,10 @@ class _Relay:
         parser = StraceParser(process_of)
         while data := os.read(output, _READ_SIZE):
             for one in parser.feed(data, time.monotonic_ns() - time.time_ns()):
-                self._take(one)
+                self._send_event(one)
         self._sender.end()
 
-    def _take(self, one: PortEvent) -> None:
+    def _send_event(self, one: PortEvent) -> None:
         stamp, port, what, data, process, value = one
         numbers = self._numbers.setdefault(port, {})
         if process and process not in numbers:

@@ -11,14 +11,14 @@ from servobus.port.port_error import PortError
 from servobus.port.port_error import Reason
 from servobus.sources import tap_sender as sent
 from servobus.sources.listener import Listener
-from servobus.sources.reader import SILENT_S
+from servobus.sources.reader import SILENT_WAIT_S
 from servobus.sources.source_name import TAP
 from servobus.sources.tap_reader import HOLD_S
 from servobus.sources.tap_reader import TapReader
 from servobus.sources.tap_reader import TapRecord
 from servobus.sources.tap_reader import why_no_name
 
-_NAMED = 3                  # ports that are not heard, at most
+OTHERS_NAMED_MAX = 3        # ports that are not heard, at most
 
 
 class TapListener(Listener):
@@ -34,8 +34,8 @@ class TapListener(Listener):
     def problems(self) -> list[str]:
         if not self.others:
             return []
-        named = sorted(self.others)[:_NAMED]
-        others = ', '.join(named) + (' and others' if len(self.others) > _NAMED else '')
+        named = sorted(self.others)[:OTHERS_NAMED_MAX]
+        others = ', '.join(named) + (' and others' if len(self.others) > OTHERS_NAMED_MAX else '')
         return [f'the program also opened {others}, which was not heard; name the port to listen '
                 f'to it: tap:NAME/{os.path.basename(named[0])}']
 
@@ -49,14 +49,14 @@ class TapListener(Listener):
             self._opened(f'listening; start the program with dxl_tap {name} -- COMMAND')
             last = time.monotonic_ns()
             while not self._stopping:
-                records = reader.wait(SILENT_S)
+                records = reader.wait(SILENT_WAIT_S)
                 for record in records:
-                    self._take_record(record)
+                    self._accept_tap_record(record)
                 now = time.monotonic_ns()
                 if records:
                     last = records[-1].stamp
                 elif now - last > self.idle_s * 1e9 + HOLD_S * 1e9:
-                    self._idle(now - int(HOLD_S * 1e9))
+                    self._report_idle(now - int(HOLD_S * 1e9))
 
     def _reader(self, name: str) -> TapReader:
         try:
@@ -67,20 +67,15 @@ class TapListener(Listener):
                 'other', f'{error.filename}: {reason}',
                 remedy or 'set XDG_RUNTIME_DIR to a folder of yours')) from error
 
-    def _take_record(self, record: TapRecord) -> None:
+    def _accept_tap_record(self, record: TapRecord) -> None:
         if record.kind == sent.OPENED and self._is_wanted(record.port):
             self._heard_port = record.port
-            self._say_open(f'listening to {record.port}')
+            self._set_open(f'listening to {record.port}')
         if record.kind == sent.OPENED and record.port != self._heard_port \
-                and len(self.others) <= _NAMED:
+                and len(self.others) <= OTHERS_NAMED_MAX:
             self.others |= {record.port}
-        if record.port and record.port != self._heard_port:
-            return
-        change = record.change
-        if record.side:
-            self._hear(record.data, record.stamp, record.side)
-        elif change is not None:
-            self._on_change(change, record.stamp)
+        if record.port in ('', self._heard_port) and (record.side or record.change):
+            self._deliver(record.chunk(self._bus))
 
     def _is_wanted(self, port: str) -> bool:
         if self._wanted:

@@ -19,45 +19,54 @@ import sys
 import time
 from typing import Any
 
-_PORT = '_mecarover_tap_port'                  # attribute of an open Serial: its number
+_STATE = '_mecarover_tap'                      # attribute of an open Serial
 _OTHERS = ('rustypot', 'reachy_mini_motor_controller')       # they open ports by themselves
 _PLAIN = (bytes, bytearray, memoryview, list, tuple)
 _MODULES = ('serial.serialposix', 'serial.serialwin32', 'serial.serialcli')
 _HANDLERS = 'serial.urlhandler.protocol_'
-_TEXT_LIMIT = 2000                             # characters of an error
-_LEFT = '_mecarover_tap_left'                  # and how much it had not read, last time
-_VAIN = '_mecarover_tap_vain'                  # when it last looked for bytes in vain, ns
-_LOOKED = '_mecarover_tap_looked'              # when it last wrote, read or looked in vain, ns
-_PAUSE = '_mecarover_tap_pause'                # when it last read, and CPU time then, ns
-_WAITS = '_mecarover_tap_waits'                # it waits for the descriptor, which is not seen
+ERROR_TEXT_LIMIT = 2000                        # characters
 AWAY_NS = 500_000                              # who looks as often does not sleep
 _Method = Callable[..., Any]
+
+
+class _OpenSerial:
+    """What is known of a Serial; it has no reference to that, which would keep it open."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number                   # for the sender
+        self.unread = 0                        # bytes, as last reported
+        self.vain_ns = 0                       # when it last looked for bytes in vain, 0: it read
+        self.looked_ns = 0                     # when it last wrote, read or looked in vain
+        self.read_ns = self.read_cpu_ns = 0    # when it last read, and CPU time then
+        self.waits_unseen = False              # it has the descriptor, and waits by itself
 
 
 def _wrap_read(sender: Any, original: _Method) -> _Method:
     put, now = sender.put, time.monotonic_ns
 
     def read(self: Any, *args: Any, **kwargs: Any) -> Any:
-        known, began, away = self.__dict__, now(), 0
+        began, away = now(), 0
         try:
-            away = began - known.get(_LOOKED, began)
-            if away < AWAY_NS or _WAITS in known or not self.in_waiting:
+            state = self.__dict__[_STATE]
+            away = began - (state.looked_ns or began)
+            if away < AWAY_NS or state.waits_unseen or not self.in_waiting:
                 away = 0
         except Exception:
             pass
         data = original(self, *args, **kwargs)
         try:
+            state = self.__dict__[_STATE]      # another thread may have closed it
             size = args[0] if args else kwargs.get('size', 1)
             is_short = not data or (getattr(self, '_timeout', None) and len(data) < size)
             if data:
                 if is_short:                   # it waited for more until its time-out
                     away += now() - began
                 if away:
-                    sender.number('away_us', known[_PORT], away // 1000)
-                put('in', known[_PORT], bytes(data))
-            known[_LOOKED] = now()
-            known[_VAIN] = known[_LOOKED] if is_short else 0
-            known[_PAUSE] = known[_LOOKED], time.thread_time_ns()
+                    sender.number('away_us', state.number, away // 1000)
+                put('in', state.number, bytes(data))
+            state.looked_ns = state.read_ns = now()
+            state.vain_ns = state.looked_ns if is_short else 0
+            state.read_cpu_ns = time.thread_time_ns()
         except Exception:
             pass
         return data
@@ -70,16 +79,16 @@ def _wrap_write(sender: Any, original: _Method) -> _Method:
     def write(self: Any, data: Any, *args: Any, **kwargs: Any) -> Any:
         size = port = 0
         try:
-            _say_before(sender, self)          # answers to earlier questions
-            _say_busy(sender, self)
-            self.__dict__[_VAIN] = 0
+            _report_before(sender, self)       # answers to earlier questions
+            _report_busy(sender, self)
+            self.__dict__[_STATE].vain_ns = 0
         except Exception:
             pass
         try:
             if not isinstance(data, _PLAIN):   # it may be one that can be gone through once
                 data = bytearray(data)
             whole = bytes(data)
-            port = getattr(self, _PORT)
+            port = self.__dict__[_STATE].number
             size = len(whole)
             put('out', port, whole)
         except Exception:
@@ -87,16 +96,17 @@ def _wrap_write(sender: Any, original: _Method) -> _Method:
         try:
             written = original(self, data, *args, **kwargs)
         except BaseException:
-            _not_sent(sender, port, size)
+            _report_not_sent(sender, port, size)
             raise
-        self.__dict__[_LOOKED] = time.monotonic_ns()
+        with suppress(KeyError):
+            self.__dict__[_STATE].looked_ns = time.monotonic_ns()
         if size and isinstance(written, int) and written < size:
-            _not_sent(sender, port, size - written)
+            _report_not_sent(sender, port, size - written)
         return written
     return write
 
 
-def _not_sent(sender: Any, port: int, size: int) -> None:
+def _report_not_sent(sender: Any, port: int, size: int) -> None:
     with suppress(Exception):
         if size:
             sender.number('not_sent', port, size)
@@ -106,10 +116,9 @@ def _wrap_open(sender: Any, original: _Method) -> _Method:
     def open(self: Any, *args: Any, **kwargs: Any) -> Any:
         result = original(self, *args, **kwargs)
         with suppress(Exception):
-            setattr(self, _PORT, sender.opened(str(self.port), int(self._baudrate)))
-            setattr(self, _LEFT, 0)
+            self.__dict__[_STATE] = _OpenSerial(sender.opened(str(self.port), int(self._baudrate)))
             sender.serials.add(self)
-            _say_unread(sender, self)
+            _report_unread(sender, self)
         return result
     return open
 
@@ -124,9 +133,7 @@ def _wrap_after(report: Callable[[Any, Any, int], object],
                 before(sender, self)
             result = original(self, *args, **kwargs)
             with suppress(Exception):
-                port = getattr(self, _PORT, None)
-                if port is not None:
-                    report(sender, self, port)
+                report(sender, self, self.__dict__[_STATE].number)
             return result
         return call
     return wrap
@@ -134,12 +141,10 @@ def _wrap_after(report: Callable[[Any, Any, int], object],
 
 def _wrap_close(sender: Any, original: _Method) -> _Method:
     def close(self: Any, *args: Any, **kwargs: Any) -> Any:
-        _say_unread(sender, self)
+        _report_unread(sender, self)
         result = original(self, *args, **kwargs)
         with suppress(Exception):
-            port = getattr(self, _PORT)
-            delattr(self, _PORT)
-            sender.closed(port)
+            sender.closed(self.__dict__.pop(_STATE).number)
         return result
     return close
 
@@ -152,53 +157,51 @@ def _wrap_in_waiting(sender: Any, original: Any) -> Any:
     def in_waiting(self: Any) -> Any:
         waiting = ask(self)
         if not waiting:
-            self.__dict__[_LOOKED] = time.monotonic_ns()
+            with suppress(KeyError):
+                self.__dict__[_STATE].looked_ns = time.monotonic_ns()
         return waiting
     return property(in_waiting)
 
 
 def _wrap_fileno(sender: Any, original: _Method) -> _Method:
     def fileno(self: Any) -> Any:
-        self.__dict__[_WAITS] = True           # its caller waits for bytes by itself
+        with suppress(KeyError):
+            self.__dict__[_STATE].waits_unseen = True
         return original(self)
     return fileno
 
 
-def _say_waiting(sender: Any, serial: Any) -> None:
-    """Say how much of what a port received is not read yet, if it is not nothing as before."""
-    waiting = serial.in_waiting
-    if waiting or getattr(serial, _LEFT):
-        setattr(serial, _LEFT, waiting)
-        sender.number('unread', getattr(serial, _PORT), waiting)
+def _report_vain(sender: Any, state: _OpenSerial) -> None:
+    """Report for how long a port was not read since it was looked at in vain."""
+    if state.vain_ns:
+        sender.number('gave_up_us', state.number, (time.monotonic_ns() - state.vain_ns) // 1000)
 
 
-def _say_vain(sender: Any, serial: Any) -> None:
-    """Say for how long a port was not read since it was looked at in vain."""
-    vain = serial.__dict__.get(_VAIN, 0)
-    if vain:
-        sender.number('gave_up_us', getattr(serial, _PORT), (time.monotonic_ns() - vain) // 1000)
+def _report_busy(sender: Any, serial: Any) -> None:
+    """Report for how much of a pause since it read the program worked."""
+    state = serial.__dict__[_STATE]
+    took = time.monotonic_ns() - state.read_ns
+    if state.read_ns and took > AWAY_NS:
+        worked = time.thread_time_ns() - state.read_cpu_ns     # another thread's, if that read
+        sender.number('busy_us', state.number, max(0, min(worked, took)) // 1000)
+    state.read_ns = 0
 
 
-def _say_busy(sender: Any, serial: Any) -> None:
-    """Say for how much of a pause since it read the program worked."""
-    known = serial.__dict__
-    began, spent = known.pop(_PAUSE, (0, 0))
-    if began and (took := time.monotonic_ns() - began) > AWAY_NS:
-        worked = time.thread_time_ns() - spent         # another thread's, if that read
-        sender.number('busy_us', known[_PORT], max(0, min(worked, took)) // 1000)
+def _report_before(sender: Any, serial: Any) -> None:
+    """Report what is not read yet before a write, or before that is thrown away."""
+    state, waiting = serial.__dict__[_STATE], serial.in_waiting
+    if waiting or state.unread:                # else it is nothing as before
+        state.unread = waiting
+        sender.number('unread', state.number, waiting)
+    _report_vain(sender, state)
 
 
-def _say_before(sender: Any, serial: Any) -> None:
-    """Say how a port stands before a write, or before what it received is thrown away."""
-    _say_waiting(sender, serial)
-    _say_vain(sender, serial)
-
-
-def _say_unread(sender: Any, serial: Any) -> None:
-    """Say how much of what a port received was never read, also where that is nothing."""
+def _report_unread(sender: Any, serial: Any) -> None:
+    """Report how much of what a port received was never read, also where that is nothing."""
     with suppress(Exception):
-        sender.number('unread', getattr(serial, _PORT), serial.in_waiting)
-        _say_vain(sender, serial)
+        state = serial.__dict__[_STATE]
+        sender.number('unread', state.number, serial.in_waiting)
+        _report_vain(sender, state)
 
 
 _WRAPPERS: dict[str, Callable[[Any, _Method], _Method]] = {
@@ -211,7 +214,7 @@ _WRAPPERS: dict[str, Callable[[Any, _Method], _Method]] = {
     '_reconfigure_port': _wrap_after(
         lambda sender, serial, port: sender.rate(port, int(serial._baudrate))),
     'reset_input_buffer': _wrap_after(
-        lambda sender, serial, port: sender.number('purged', port, 1), _say_before),
+        lambda sender, serial, port: sender.number('purged', port, 1), _report_before),
     'reset_output_buffer': _wrap_after(
         lambda sender, serial, port: sender.number('purged', port, 2)),
 }
@@ -237,14 +240,13 @@ def tapped(port: Any, sender: Any) -> Iterator[None]:
     kind = type(port)
     found = {name: one for base in reversed(kind.__mro__) for name, one in vars(base).items()}
     own = {name: wrap(sender, found[name]) for name, wrap in _WRAPPERS.items() if name in found}
-    port.__dict__.update({_PORT: sender.opened(str(port.port), int(port.baudrate)), _LEFT: 0})
+    port.__dict__[_STATE] = _OpenSerial(sender.opened(str(port.port), int(port.baudrate)))
     port.__class__ = type(kind.__name__, (kind,), own)
     try:
         yield
     finally:
         port.__class__ = kind
-        for name in (_PORT, _LEFT, _VAIN, _LOOKED, _PAUSE, _WAITS):
-            port.__dict__.pop(name, None)
+        port.__dict__.pop(_STATE, None)
 
 
 class _PatchingLoader:
@@ -290,9 +292,9 @@ class _Finder:
 
 
 def _end(sender: Any) -> None:
-    """Say what was left unread, and the error that ended the program; then let readers have it."""
+    """Report what was left unread, and the error that ended the program; then send the rest."""
     for serial in list(sender.serials):
-        _say_unread(sender, serial)
+        _report_unread(sender, serial)
     with suppress(Exception):
         error = getattr(sys, 'last_value', None)       # what sys.excepthook got, any of them
         if isinstance(error, Exception):
@@ -307,7 +309,7 @@ def _described(error: Exception) -> dict[str, Any]:
     while trace is not None:
         packages.add(str(trace.tb_frame.f_globals.get('__name__')).partition('.')[0])
         trace = trace.tb_next
-    return {'error': f'{type(error).__name__}: {error}'[:_TEXT_LIMIT],
+    return {'error': f'{type(error).__name__}: {error}'[:ERROR_TEXT_LIMIT],
             'packages': sorted(packages), 'python': sys.executable}
 
 

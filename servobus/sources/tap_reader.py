@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 from msg_defs.event import Change
 from msg_defs.event import CHANGES
+from msg_defs.event import Chunk
 from msg_defs.event import CLOSED
 from msg_defs.event import IN
 from msg_defs.event import OUT
@@ -30,10 +31,10 @@ from servobus.port.readable import readable
 from servobus.sources import tap_sender as sent
 
 HOLD_S = 0.06                              # three times what a sender lets gather
-SIZE_LIMIT = 1 << 24                       # bytes of a record: more is none of ours
-CONNECTIONS_LIMIT = 64
-PORTS_LIMIT = 256                          # that a program has open at once
-_NAME_OF_PORT = 1000                       # characters
+RECORD_MAX_BYTES = 1 << 24                 # bytes of a record: more is none of ours
+CONNECTIONS_MAX = 64
+PORTS_MAX = 256                            # that a program has open at once
+PORT_NAME_MAX_LENGTH = 1000                # characters
 _NAME_CHARACTERS = frozenset('abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-')
 _NAME_LIMIT = 40                           # the path of a Unix socket has 107 characters
 _READ_SIZE = 1 << 16
@@ -64,6 +65,10 @@ class TapRecord(NamedTuple):
             return None
         return Change(self.kind, self.value or int(self.kind == CLOSED))
 
+    def chunk(self, bus: str) -> Chunk:
+        """Return the bytes or the change as a chunk of a bus."""
+        return Chunk(self.stamp, bus, self.data if self.side else b'', self.side, self.change)
+
 
 def why_no_name(name: str) -> str:
     """Return what is wrong with the name of a tap, '' for nothing."""
@@ -90,7 +95,7 @@ class _Connection:
         at = 0
         while len(data) - at >= sent.HEAD.size:
             kind, number, stamp, size = sent.HEAD.unpack_from(data, at)
-            if kind >= len(sent.KINDS) or size > SIZE_LIMIT or stamp < 0:
+            if kind >= len(sent.KINDS) or size > RECORD_MAX_BYTES or stamp < 0:
                 raise ValueError(kind)
             begin = at + sent.HEAD.size
             if begin + size > len(data):
@@ -112,8 +117,8 @@ class _Connection:
             raise ValueError('no secret')
         if kind == sent.OPENED:
             self.ports[number] = printable(
-                data.decode(errors='replace'), _NAME_OF_PORT)
-            if len(self.ports) > PORTS_LIMIT:
+                data.decode(errors='replace'), PORT_NAME_MAX_LENGTH)
+            if len(self.ports) > PORTS_MAX:
                 raise ValueError('too many ports')
         port = self.ports.pop(number, '') if kind == CLOSED else self.ports.get(number, '')
         if kind in (OUT, IN, sent.ENDED):
@@ -212,7 +217,7 @@ class TapReader:
     def _accept(self) -> None:
         with suppress(OSError):
             connection, _ = self._listener.accept()
-            if len(self.programs) >= CONNECTIONS_LIMIT:
+            if len(self.programs) >= CONNECTIONS_MAX:
                 connection.close()
                 return
             connection.setblocking(False)

@@ -43,13 +43,13 @@ KINDS = ('hello', OPENED, 'closed', 'out', 'in', 'baud', 'purged', 'not_sent', '
          ENDED, 'dtr', 'rts', 'gave_up_us', 'traced_us', 'away_us', 'busy_us')
 NUMBER = struct.Struct('<q')               # what follows the others
 
-QUEUE_LIMIT = 20_000                       # records that wait for the thread
-PENDING_LIMIT = 4_000_000                  # bytes that wait for a reader
+QUEUED_RECORDS_MAX = 20_000                # records that wait for the thread
+PENDING_MAX_BYTES = 4_000_000              # bytes that wait for a reader
 POLL_S = 0.02
-LOOK_S = 0.2                               # between two looks for new readers
-END_S = 0.3                                # how long the end of the program waits for a reader
-READERS_LIMIT = 8
-TRACED_S = 2.0                             # how long a program waits for strace, once
+FIND_READERS_EVERY_S = 0.2                 # between two looks for new readers
+END_WAIT_S = 0.3                           # how long the end of the program waits for a reader
+READERS_MAX = 8
+STRACE_WAIT_S = 2.0                        # how long a program waits for strace, once
 HIGH_NUMBERS = (900, 200, 50)              # at least: programs seldom have as many open
 _SET_PTRACER = 0x59616D61                  # prctl: who may trace (kernel, Yama)
 _NO_SIGNAL = getattr(socket, 'MSG_NOSIGNAL', 0)
@@ -111,7 +111,7 @@ class _TapPeer:
                 port, secret = file.read().split()
             self._socket = socket.socket(socket.AF_INET)
             address = ('127.0.0.1', int(port))
-        self._file = self._look_up()
+        self._file = self._file_of_number()
         self._socket.settimeout(0.1)
         try:
             self._socket.connect(address)      # type: ignore[arg-type]
@@ -123,7 +123,7 @@ class _TapPeer:
                             'secret': secret}).encode()
         self.pending = bytearray(record('hello', 0, time.monotonic_ns(), hello))
 
-    def _look_up(self) -> tuple[int, int] | None:
+    def _file_of_number(self) -> tuple[int, int] | None:
         """Return which file our number is of, as the kernel has it now; None: no file."""
         try:
             status = os.fstat(self._socket.fileno())
@@ -133,7 +133,7 @@ class _TapPeer:
 
     def is_ours(self) -> bool:
         """Tell whether the number is still that of our socket."""
-        return self._look_up() == self._file
+        return self._file_of_number() == self._file
 
     def close(self) -> None:
         """Close our socket, nothing else."""
@@ -144,7 +144,7 @@ class _TapPeer:
 
     def send(self, records: list[bytes]) -> bool:
         """Send what it takes without waiting; return whether it is still there."""
-        if len(self.pending) > PENDING_LIMIT:
+        if len(self.pending) > PENDING_MAX_BYTES:
             self.lost += len(records)
         else:
             if self.lost:
@@ -186,7 +186,7 @@ class Sender:
         for reader in self._readers.values():
             reader.close()
         self._readers.clear()
-        self._missed: dict[str, int] = {}      # records, by readers whose connection was closed
+        self._missed: dict[str, int] = {}      # records, by reader with a closed connection
         self._looked = float('-inf')
         self._is_ending = False
         self._thread: threading.Thread | None = None
@@ -198,14 +198,14 @@ class Sender:
         self._announced.update(self._ports)
         if self._ports:
             with suppress(Exception):
-                self._look()
+                self._find_readers()
             self._begin()
 
     def put(self, kind: str, port: int, data: bytes, stamp: int = 0) -> None:
         """Take a record, at once, of now or `stamp`; called in the program's reads and writes."""
         if port and self._is_traced:
             return
-        if len(self.queue) < QUEUE_LIMIT:
+        if len(self.queue) < QUEUED_RECORDS_MAX:
             self.queue.append((kind, port, stamp or time.monotonic_ns(), data))
         else:
             self.lost += 1
@@ -243,7 +243,7 @@ class Sender:
 
         ctypes.CDLL(None).prctl(_SET_PTRACER, ctypes.c_ulong(-1), 0, 0, 0)     # else ancestors
         self._mark(TRACE + b'%d\n' % os.getpid())
-        until = time.monotonic() + TRACED_S
+        until = time.monotonic() + STRACE_WAIT_S
         while not self._is_traced and time.monotonic() < until:
             time.sleep(POLL_S / 10)
             with open('/proc/self/status') as file:
@@ -254,7 +254,7 @@ class Sender:
         thread = self._thread
         self._is_ending = True
         if thread is not None:
-            thread.join(END_S)
+            thread.join(END_WAIT_S)
         elif self.queue:                       # Python starts no thread at its end
             self._run()
 
@@ -274,22 +274,22 @@ class Sender:
         until = float('inf')
         while True:
             with suppress(Exception):          # any error: the program must not see it
-                self._look()
+                self._find_readers()
                 self._send()
             if self._is_ending:
-                until = min(until, time.monotonic() + END_S)
+                until = min(until, time.monotonic() + END_WAIT_S)
                 if time.monotonic() >= until or not (
                         self.queue or any(one.pending for one in self._readers.values())):
                     return
             time.sleep(POLL_S if not self._is_ending else POLL_S / 10)
 
-    def _look(self) -> None:
-        """Connect to who began to listen; each first learns what is open."""
+    def _find_readers(self) -> None:
+        """Connect to those who began to listen; each first learns what is open."""
         now = time.monotonic()
         for path, reader in list(self._readers.items()):
             if not reader.is_ours():
                 self._drop(path, len(reader.pending) > 0)
-        if now - self._looked < LOOK_S and not (self._is_ending and self._missed):
+        if now - self._looked < FIND_READERS_EVERY_S and not (self._is_ending and self._missed):
             return
         self._looked = now
         place = folder()
@@ -299,7 +299,7 @@ class Sender:
             path = os.path.join(place, file)
             name = file.rpartition('.')[0].rpartition('.')[0]
             if (name == self.name and file.endswith(SUFFIX) and path not in self._readers
-                    and len(self._readers) < READERS_LIMIT):
+                    and len(self._readers) < READERS_MAX):
                 try:
                     reader = _TapPeer(path, self._missed.get(path, 0))
                 except (OSError, ValueError):
@@ -320,7 +320,7 @@ class Sender:
         if self._missed:                       # a reader is looked for again
             return
         records: list[bytes] = []
-        while self.queue and len(records) < QUEUE_LIMIT:
+        while self.queue and len(records) < QUEUED_RECORDS_MAX:
             one = self.queue.popleft()
             records.append(record(*one))
             if one[0] == OPENED:

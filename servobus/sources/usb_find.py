@@ -46,8 +46,6 @@ def find(name: str, root: Path = SYS) -> PluggedAdapter:
                         _hex(device / 'bcdDevice'), _hex(interface / 'bInterfaceClass'))
     number = f'{identity.vendor:04x}:{identity.product:04x}'
     ends = _bulk(interface)
-    if IN not in ends or OUT not in ends:
-        raise _refused(name, 'has no pair of bulk endpoints', 'give the name of its tty')
     adapter = adapter_of(identity, ends[IN][1])
     if adapter is None:
         raise _refused(name, f'is a USB device {number}, but not one of the known serial '
@@ -62,17 +60,13 @@ def _interface(name: str, root: Path) -> Path:
     """Return the folder of the interface that carries the bytes."""
     devices = root / 'bus/usb/devices'
     number = _NUMBER.fullmatch(name)
-    if number:
-        for device in sorted(devices.glob('[0-9]*-*')):
-            if ':' not in device.name and all(
-                    int(_text(device / file) or -1) == int(one)
-                    for file, one in zip(('busnum', 'devnum'), number.groups(), strict=True)):
+    if number or _SOCKET.fullmatch(name):
+        wanted = [int(one) for one in number.groups()] if number else []
+        for device in sorted(devices.glob('[0-9]*-*' if number else name)):
+            if not number or wanted == [int(_text(device / file) or -1)
+                                        for file in ('busnum', 'devnum')]:
                 return _data_interface(device.resolve(), 0)
         raise _absent(name)
-    if _SOCKET.fullmatch(name):
-        if not (devices / name).is_dir():
-            raise _absent(name)
-        return _data_interface((devices / name).resolve(), 0)
     tty = root / 'class/tty' / tty_of(name)
     if not tty.exists():
         raise _absent(name)

@@ -10,6 +10,7 @@ time, so that one that comes back under another number is followed.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 import os
 from pathlib import Path
@@ -18,7 +19,7 @@ import time
 
 from msg_defs.event import BAUD
 from msg_defs.event import Change
-from msg_defs.event import GONE
+from msg_defs.event import Chunk
 from msg_defs.event import LATENCY_TIMER
 from msg_defs.event import LOST
 from servobus.port.port_error import PortError
@@ -30,6 +31,7 @@ from servobus.sources.reader_process import Record
 from servobus.sources.source_name import USB
 from servobus.sources.usb_find import find
 from servobus.sources.usb_port import Place
+from servobus.sources.usb_port import UNPLUGGED_CHANGE
 from servobus.sources.usb_port import UsbPort
 from servobus.sources.usb_survey import Survey
 from servobus.sources.usbmon import INPUT
@@ -71,7 +73,7 @@ class UsbListener(Listener):
         path = _MONITOR.format(place.bus)
         fd = _open(self.port, path)
         try:
-            self._usb = UsbPort(place, target.adapter)
+            self._usb = UsbPort(place, target.adapter, self._bus)
             self.latency_timer_ms = target.latency_timer_ms
             self._read(f'listening to {target.words} through {path}', fd,
                        (place.device, target.adapter.IDLE_SIZE, place.bulk_in | INPUT,
@@ -82,23 +84,24 @@ class UsbListener(Listener):
     def _read(self, words: str, fd: int, usb: tuple[int, ...]) -> None:
         """Have a process read; raise PortError when the adapter or the stream has gone."""
         self._opened(words)
-        gather_s = max(self._gather_s, reader.GATHER_LONGEST_S)        # events have stamps
-        problem = self._listen_by_process(words, self._take_record, partial(
-            ReaderProcess, fd, self.idle_s, gather_s, self._wake_read, usb))
+        problem = self._listen_by_process(words, self._accept_usb_record, partial(
+            ReaderProcess, fd, self.idle_s, reader.GATHER_LONGEST_S,       # events have stamps
+            self._wake_read, usb))
         if problem:
             raise PortError(self.port, Reason('other', f'its reader process: {problem}',
                                               'start this program again if that lasts'))
 
-    def _take_record(self, record: Record) -> None:
+    def _accept_usb_record(self, record: Record) -> None:
         if record.kind == reader.CHUNK:
-            self._take_events(record.data, record.stamp)
+            self._decode_events(record.data, record.stamp)
         elif record.kind == reader.DROPPED:
             self.dropped += int(record.data)
-            self._on_change(Change(LOST, int(record.data)), max(record.stamp, self._newest))
+            self._deliver(Chunk(max(record.stamp, self._newest), self._bus,
+                                change=Change(LOST, int(record.data))))
         elif record.kind == reader.LOST:
             raise self._gone()
         if record.kind == reader.IDLE or record.stamp - self._last > self.idle_s * 1e9:
-            self._idle(record.stamp)
+            self._report_idle(record.stamp)
         if record.kind == reader.IDLE and self._place is not None:
             self._check_place(self._place)
 
@@ -107,54 +110,46 @@ class UsbListener(Listener):
         if find(self.port.removeprefix(USB)).place != place:
             raise self._gone()
 
-    def _take_events(self, data: bytes, read_at: int) -> None:
-        """Take what was read at this moment; the events have stamps of the wall-clock."""
-        to_monotonic = _to_monotonic()
-        found: list[tuple[int, str, bytes]] = []
-        skim = partial(self._usb.skim, found=found) if self._usb is not None else None
+    def _decode_events(self, data: bytes, read_at: int) -> None:
+        """Hand on what was read at this moment; the events have stamps of the wall-clock."""
+        chunks: list[Chunk] = []
+        skim = None
+        if self._usb is not None:
+            self._usb.later = _to_monotonic()
+            skim = partial(self._usb.skim, decoded=chunks)
         for event in self._records.events(data, skim):
-            usb = self._usb or self._known_by(event)
-            heard = usb.take(event) if usb is not None else None
-            if heard is None:
-                continue
-            if heard.changes:
-                self._hear_found(found, read_at, to_monotonic)
-                self._newest = max(self._newest, min(read_at, heard.stamp + to_monotonic))
-                for change in heard.changes:
-                    self._change(change)
-            if heard.data:
-                found.append((heard.stamp, heard.side, heard.data))
-            if any(change.what == GONE for change in heard.changes):
-                self._hear_found(found, read_at, to_monotonic)
+            usb = self._usb or self._find_port(event)
+            if usb is not None:
+                found = usb.decode_event(event)
+                self._follow_changes(found)
+                chunks += found
+                if found and found[-1].change == UNPLUGGED_CHANGE:
+                    break
+        for at, chunk in enumerate(chunks):    # no time is before the one in front
+            stamp = max(self._newest, min(read_at, chunk.stamp))
+            if stamp != chunk.stamp:
+                chunks[at] = chunk._replace(stamp=stamp)
+            self._newest = stamp
+        if chunks:
+            self._last = self._newest
+            self._deliver(*chunks)
+            if chunks[-1].change == UNPLUGGED_CHANGE:
                 raise self._gone()
-        self._hear_found(found, read_at, to_monotonic)
 
-    def _hear_found(self, found: list[tuple[int, str, bytes]], read_at: int,
-                    to_monotonic: int) -> None:
-        """Hand on bytes with stamps of the wall-clock: no time is before the one in front."""
-        if not found:
-            return
-        newest = self._newest
-        pieces = []
-        for stamp, side, data in found:
-            newest = max(newest, min(read_at, stamp + to_monotonic))
-            pieces.append((data, newest, side))
-        found.clear()
-        self._newest = self._last = newest
-        self._hear_pieces(pieces)
+    def _follow_changes(self, chunks: Sequence[Chunk]) -> None:
+        """Learn the rate and the latency timer."""
+        for change in filter(None, (chunk.change for chunk in chunks)):
+            if change.what == BAUD:
+                self.baud = change.value
+            elif change.what == LATENCY_TIMER:
+                self.latency_timer_ms = change.value
 
-    def _change(self, change: Change) -> None:
-        if change.what == BAUD:
-            self.baud = change.value
-        elif change.what == LATENCY_TIMER:
-            self.latency_timer_ms = change.value
-        self._on_change(change, self._newest)
-
-    def _known_by(self, event: UsbEvent) -> UsbPort | None:
+    def _find_port(self, event: UsbEvent) -> UsbPort | None:
         """Find the port in a stream that says itself what is plugged in."""
-        self._survey.take(event)
+        self._survey.add_event(event)
         for one in self._survey.ports():
-            self._usb = UsbPort(one.place, one.adapter)
+            self._usb = UsbPort(one.place, one.adapter, self._bus)
+            self._usb.later = _to_monotonic()
         return self._usb
 
     def _gone(self) -> PortError:

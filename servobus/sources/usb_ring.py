@@ -15,7 +15,7 @@ import mmap
 import struct
 
 RING_SIZE = 1200 * 1024            # the most that the kernel gives
-FETCHED = 4096                     # events that are looked at in one go
+FETCH_MAX_EVENTS = 4096            # events that are looked at in one go
 HEADER_SIZE = 64
 
 _RING_SIZE_SET, _RING_SIZE_GET = 0x9204, 0x9205
@@ -75,7 +75,7 @@ class Ring:
         fcntl.ioctl(fd, _RING_SIZE_SET, RING_SIZE)
         size = fcntl.ioctl(fd, _RING_SIZE_GET)
         self._map = mmap.mmap(fd, size, mmap.MAP_SHARED, mmap.PROT_READ)
-        self._offsets = (ctypes.c_uint32 * FETCHED)()
+        self._offsets = (ctypes.c_uint32 * FETCH_MAX_EVENTS)()
         self._seen = 0             # events that were looked at and are to be let go
 
     def read(self) -> bytes:
@@ -88,14 +88,14 @@ class Ring:
                 if kept >= 0:
                     found.append(self._map[offset:offset + HEADER_SIZE + kept])
             self._seen = count
-            count = self._fetch() if count == FETCHED else 0
+            count = self._fetch() if count == FETCH_MAX_EVENTS else 0
         self._release()
         self._count_dropped()
         return b''.join(found)
 
     def _fetch(self) -> int:
         """Let go what was seen; return how many more events there are, without waiting."""
-        ask = _Fetch(ctypes.addressof(self._offsets), FETCHED, self._seen)
+        ask = _Fetch(ctypes.addressof(self._offsets), FETCH_MAX_EVENTS, self._seen)
         self._seen = 0
         try:
             fcntl.ioctl(self._fd, _FETCH, ask)

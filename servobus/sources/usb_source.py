@@ -1,13 +1,20 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""A file of USB events as a source: the bytes of one serial adapter in it, with their sides."""
+"""
+A file of USB events as a source: the bytes of one serial adapter in it, with their sides.
 
+pcap or pcapng of usbmon or USBPcap, or what /dev/usbmonN gave. Problems are given in words at the
+end; what is readable is used.
+"""
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from io import BufferedReader
+import os
 import shutil
 from tempfile import TemporaryFile
+from typing import BinaryIO
 from typing import cast
 
 from msg_defs.event import BAUD
@@ -16,11 +23,87 @@ from servobus.errors import UsageError
 from servobus.sources.capture import Moment
 from servobus.sources.capture import STAMP_END
 from servobus.sources.capture import Wire
+from servobus.sources.pcap import CapturedPacket
+from servobus.sources.pcap import is_pcap
+from servobus.sources.pcap import LINK_USB_LINUX
+from servobus.sources.pcap import LINK_USB_LINUX_MMAPPED
+from servobus.sources.pcap import LINK_USBPCAP
+from servobus.sources.pcap import MAGIC_SIZE
+from servobus.sources.pcap import PcapReader
 from servobus.sources.source import File
-from servobus.sources.usb_events import UsbEvents
 from servobus.sources.usb_port import UsbPort
 from servobus.sources.usb_survey import Found
 from servobus.sources.usb_survey import Survey
+from servobus.sources.usbmon import decode
+from servobus.sources.usbmon import decode_usbpcap
+from servobus.sources.usbmon import HEADER_SIZE
+from servobus.sources.usbmon import is_record
+from servobus.sources.usbmon import OLD_HEADER_SIZE
+from servobus.sources.usbmon import Records
+from servobus.sources.usbmon import UsbEvent
+
+READ_SIZE = 1 << 16
+
+
+def is_usb(head: bytes) -> bool:
+    """Tell whether a file that begins so (64 bytes, or all of it) holds USB events."""
+    return is_pcap(head) or is_record(head)
+
+
+def may_be_usb(head: bytes) -> bool:
+    """Tell whether more bytes may show that a file that begins so holds USB events."""
+    return is_pcap(head) or (len(head) < HEADER_SIZE and head[8:9] in (b'', b'S', b'C', b'E'))
+
+
+class UsbEvents:
+    """The events of an open file, from its position on; it can seek."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self.problems: list[str] = []
+        self._file = file
+        head = file.read(MAGIC_SIZE)
+        self._is_pcap = is_pcap(head)
+        file.seek(-len(head), os.SEEK_CUR)
+
+    def __iter__(self) -> Iterator[UsbEvent]:
+        return self._from_packets() if self._is_pcap else self._from_records()
+
+    def _from_packets(self) -> Iterator[UsbEvent]:
+        others: Counter[int] = Counter()
+        reader = PcapReader(self._file)
+        bad = 0
+        for packet in reader:
+            if packet.link not in (LINK_USB_LINUX, LINK_USB_LINUX_MMAPPED, LINK_USBPCAP):
+                others[packet.link] += 1
+                continue
+            event = _event(packet)
+            if event is None:
+                bad += 1
+            else:
+                yield event
+        if reader.problem:
+            self.problems.append(reader.problem)
+        if bad:
+            self.problems.append(f'{bad} packets are not USB events and were left out')
+        for link, count in others.items():
+            self.problems.append(f'{count} packets of link type {link} were left out; usbmon has '
+                                 '189 and 220, USBPcap 249')
+
+    def _from_records(self) -> Iterator[UsbEvent]:
+        records = Records()
+        while piece := self._file.read(READ_SIZE):
+            yield from records.events(piece)
+        if records.skipped:
+            self.problems.append(f'{records.skipped} bytes are not USB events and were left out')
+        if records.rest:
+            self.problems.append('it ends within an event: cut off, or still being written')
+
+
+def _event(packet: CapturedPacket) -> UsbEvent | None:
+    if packet.link == LINK_USBPCAP:
+        return decode_usbpcap(packet.data, packet.stamp)
+    size = OLD_HEADER_SIZE if packet.link == LINK_USB_LINUX else HEADER_SIZE
+    return decode(packet.data, packet.order, size)
 
 
 class UsbFile(File):
@@ -37,9 +120,9 @@ class UsbFile(File):
         self._events = self._from_the_start()
         survey = Survey()
         for event in self._events:
-            survey.take(event)
+            survey.add_event(event)
         found = _chosen(name, survey.ports(), adapter, self._events.problems)
-        self._port = UsbPort(found.place, found.adapter)
+        self._port = UsbPort(found.place, found.adapter, self._bus)
         self.wires[self._bus] = Wire(self._bus, baud or 0, port=name)
 
     def _from_the_start(self) -> UsbEvents:
@@ -49,20 +132,15 @@ class UsbFile(File):
     def chunks(self) -> Iterator[Chunk | None]:
         """Yield what was heard, in the order of its stamps: those of the file, ns since 1970."""
         self._events = self._from_the_start()
-        bus, newest = self._bus, 0
+        newest = 0
         for event in self._events:
-            heard = self._port.take(event)
-            if heard is None:
-                continue
-            if heard.stamp < STAMP_END:        # else the file is damaged
-                newest = max(newest, heard.stamp)
-            if not self.began.stamp:
-                self.began = Moment(newest, newest)
-            if heard.data:
-                yield Chunk(newest, bus, heard.data, heard.side)
-            for change in heard.changes:
-                if change.what != BAUD or self._baud is None:
-                    yield Chunk(newest, bus, change=change)
+            for chunk in self._port.decode_event(event):
+                if chunk.stamp < STAMP_END:        # else the file is damaged
+                    newest = max(newest, chunk.stamp)
+                if not self.began.stamp:
+                    self.began = Moment(newest, newest)
+                if not (self._baud and chunk.change and chunk.change.what == BAUD):
+                    yield chunk._replace(stamp=newest)
 
     def problems(self) -> list[str]:
         return [f'{self._name}: {problem}' for problem in self._events.problems]

@@ -31,8 +31,8 @@ _SMALL, _LARGE = 64, 512           # packets of a full-speed and of a high-speed
 _SMALL_MARK, _LARGE_MARK = 1, 2    # low half of FTDI's first status byte: the size of packets
 _HEADER = b'\xff\xff'              # what every packet of a servo begins with
 _UNKNOWN = UsbIdentity(0, 0)
-PENDING_LIMIT = 256
-DEVICES_LIMIT = 4096               # what a damaged file may invent
+PENDING_TRANSFERS_MAX = 256
+DEVICES_MAX = 4096                 # what a damaged file may invent
 
 
 class Found(NamedTuple):
@@ -70,15 +70,15 @@ class _UsbDevice:
         self.is_large = False                  # no status bytes where a small packet begins
         self.has_header = False
 
-    def describe(self, data: bytes) -> None:
-        """Take in a descriptor of the device, or those of a configuration."""
+    def add_descriptor(self, data: bytes) -> None:
+        """Add a descriptor of the device, or those of a configuration."""
         if len(data) >= 18 and data[1] == _DEVICE:
             self.identity = UsbIdentity(_word(data, 8), _word(data, 10), _word(data, 12))
         if data[1:2] == bytes([_CONFIGURATION]):
             endpoints = _endpoints(data)
             self.endpoints = endpoints or self.endpoints
 
-    def bulk(self, event: UsbEvent) -> None:
+    def add_bulk(self, event: UsbEvent) -> None:
         data = event.data
         self.seen[event.endpoint] = self.seen.get(event.endpoint, 0) + len(data)
         if not event.is_input:
@@ -132,32 +132,30 @@ class Survey:
         self._devices: dict[tuple[int, int], _UsbDevice] = {}
         self._setups: dict[tuple[int, int, int], bytes] = {}
 
-    def take(self, event: UsbEvent) -> None:
-        """Look at an event."""
-        if event.transfer not in (BULK, CONTROL):
-            return
-        if event.transfer == BULK and not event.data:
+    def add_event(self, event: UsbEvent) -> None:
+        is_bulk = event.transfer == BULK
+        if not (event.data if is_bulk else event.transfer == CONTROL):
             return
         key = event.bus, event.device
         device = self._devices.get(key)
         if device is None:
-            if len(self._devices) >= DEVICES_LIMIT:
+            if len(self._devices) >= DEVICES_MAX:
                 return
             device = self._devices[key] = _UsbDevice()
-        if event.transfer == BULK:
-            device.bulk(event)
+        if is_bulk:
+            device.add_bulk(event)
         else:
-            self._control(device, event)
+            self._add_control(device, event)
 
     def ports(self) -> list[Found]:
         """Return the serial ports, by bus and device."""
         return [found for (bus, number), device in sorted(self._devices.items())
                 for found in device.ports(bus, number)]
 
-    def _control(self, device: _UsbDevice, event: UsbEvent) -> None:
+    def _add_control(self, device: _UsbDevice, event: UsbEvent) -> None:
         key = event.bus, event.device, event.number
         if event.setup:
-            if len(self._setups) >= PENDING_LIMIT:
+            if len(self._setups) >= PENDING_TRANSFERS_MAX:
                 del self._setups[next(iter(self._setups))]
             self._setups[key] = event.setup
         packet = event.setup or self._setups.get(key)
@@ -165,7 +163,7 @@ class Survey:
             return
         setup = Setup.of(packet)
         if (setup.kind, setup.request) == _GET_DESCRIPTOR:
-            device.describe(event.data)
+            device.add_descriptor(event.data)
         else:
             device.by_request = family_by_request(setup, event.data) or device.by_request
 

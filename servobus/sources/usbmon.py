@@ -26,7 +26,7 @@ _SETUP_FLAGS = frozenset(b'\0-Z')
 HEADER_SIZE = 64
 OLD_HEADER_SIZE = 48
 SETUP_SIZE = 8
-DATA_LIMIT = 1 << 24               # bytes of one event; the kernel keeps less than 256 KiB
+EVENT_MAX_BYTES = 1 << 24          # bytes of one event; the kernel keeps less than 256 KiB
 _WHAT = 'BBBBHBB'                  # kind, transfer, endpoint, device, bus, two flags
 _HEADER = f'Q{_WHAT}qiiII8s'        # the first 48 bytes; 16 more follow in the newer form
 _HEADERS = {'<': struct.Struct('<' + _HEADER), '>': struct.Struct('>' + _HEADER)}
@@ -172,5 +172,5 @@ def _is_header(fields: tuple[Any, ...]) -> bool:
      _) = fields
     return (kind in _KINDS and transfer <= BULK and device < 128
             and not endpoint & 0x70 and bus < 4096 and setup_flag in _SETUP_FLAGS
-            and seconds >= 0 and 0 <= us < 1_000_000 and kept <= DATA_LIMIT
+            and seconds >= 0 and 0 <= us < 1_000_000 and kept <= EVENT_MAX_BYTES
             and (kept <= size or transfer == ISO))

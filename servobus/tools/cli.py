@@ -25,7 +25,7 @@ from servobus.port.port_error import PortError
 from servobus.tools.command import take_over
 
 DONE, COULD_NOT_RUN, WRONG_USAGE = 0, 1, 2
-NARROWEST, WIDEST = 30, 99      # columns of a help text
+WIDTH_MIN, WIDTH_MAX = 30, 99      # columns of a help text
 
 
 def run_tool(tool: str, main: Callable[[list[str]], int | None]) -> int:
@@ -114,7 +114,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 def wrapped(text: str) -> str:
     """Return a text for the terminal; a line that is too long goes on in its last column."""
-    width = min(WIDEST, max(NARROWEST, shutil.get_terminal_size().columns - 2))
+    width = min(WIDTH_MAX, max(WIDTH_MIN, shutil.get_terminal_size().columns - 2))
     return '\n'.join(textwrap.fill(
         line, width, subsequent_indent=' ' * (line.rfind('  ') + 2 if '  ' in line else 0),
         break_long_words=False, break_on_hyphens=False) for line in text.split('\n'))

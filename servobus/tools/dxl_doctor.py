@@ -21,9 +21,9 @@ from servobus.doctor.finding_log import BusSummary
 from servobus.errors import ParameterError
 from servobus.errors import UsageError
 from servobus.examination import ARRIVAL_NS
+from servobus.examination import ENOUGH_TRAFFIC_S
 from servobus.examination import Examination
-from servobus.examination import SILENCE_S
-from servobus.examination import TRAFFIC_S
+from servobus.examination import GIVE_UP_SILENCE_S
 from servobus.model.models import Models
 from servobus.plain import on_screen
 from servobus.plain import plain
@@ -31,7 +31,6 @@ from servobus.plain import printable
 from servobus.sources.capture import Wire
 from servobus.sources.flight_recorder import FlightRecorder
 from servobus.sources.opening import open_source
-from servobus.sources.source import Source
 from servobus.sources.source_name import DEFAULT_BAUD
 from servobus.tools.cli import DONE
 from servobus.tools.cli import run_tool
@@ -40,30 +39,30 @@ from servobus.tools.command_line import Parser
 from servobus.tools.doctor import explain
 from servobus.tools.doctor import machine
 from servobus.tools.doctor import no_data
-from servobus.tools.doctor import report_file
 from servobus.tools.doctor.answer_screen import HEIGHT
 from servobus.tools.doctor.answer_screen import screen
 from servobus.tools.doctor.answer_screen import WIDTH
 from servobus.tools.doctor.error_window import ErrorWindow
 from servobus.tools.doctor.issue_report import anonymous
 from servobus.tools.doctor.issue_report import check_report
+from servobus.tools.doctor.issue_report import load_report
+from servobus.tools.doctor.issue_report import make_report
 from servobus.tools.doctor.issue_report import Maker
 from servobus.tools.doctor.issue_report import new_names
 from servobus.tools.doctor.issue_report import NOTHING
-from servobus.tools.doctor.issue_report import report
+from servobus.tools.doctor.issue_report import SavedReport
 from servobus.tools.doctor.program import Program
-from servobus.tools.doctor.report_file import SavedReport
 from servobus.tools.doctor.verdict import as_json
+from servobus.tools.doctor.verdict import make_verdict
 from servobus.tools.doctor.verdict import Verdict
-from servobus.tools.doctor.verdict import verdict
 from servobus.tools.dump.screen import has_colours
 from servobus.tools.run import add_bus_options
 from servobus.tools.run import models_of
 from servobus.tools.run import parse_run
 from servobus.tools.run import RUN
 
-PROGRESS_S = 1.0
-FLIGHT_SIZE = 1_000_000_000        # bytes of the folder
+PROGRESS_EVERY_S = 1.0
+FLIGHT_FOLDER_BYTES = 1_000_000_000  # bytes of the folder
 EXAMPLES = """examples:
   dxl_doctor run -- python my_script.py         a Python program, or any other (Linux: strace)
   dxl_doctor usb:/dev/ttyUSB0                   a program that runs already (Linux, root)
@@ -83,46 +82,16 @@ def _run(arguments: list[str]) -> int:
     options, command = parse_run(_parser(), arguments)
     if options.explain is not None:
         return _explain(options.explain)
-    _check(options)
+    if options.source is None:
+        raise UsageError('SOURCE: none given; name a port, a file, or write dxl_doctor run -- '
+                         'python my_script.py')
     models = models_of(options)
     is_file = not command and os.path.isfile(options.source)
-    stored = report_file.load(options.source) if is_file else None
-    if stored is not None:
-        return _retell(stored, models, options)
+    saved = load_report(options.source) if is_file else None
+    if saved is not None:
+        return _show_saved(saved, models, options)
     check_report(options.report)
-    flight = _flight(options, is_file)
-    window = ErrorWindow()
-    examination = Examination(models, options.devices, options.protocol,
-                              [window] if flight is None else [window, flight])
-    with closing(_open(options, command)) as source:
-        try:
-            seconds = _listen(source, examination, options.seconds)
-        finally:
-            if flight is not None:
-                flight.stop()
-        said = _answer(source, examination, seconds, options, command)
-        if options.report:
-            _write_report(source, examination, seconds, options, command, window)
-        for problem in [*source.problems(), *([flight.words] if flight is not None else [])]:
-            print(f'dxl_doctor: {printable(problem)}', file=sys.stderr)
-    return said.code
-
-
-def _answer(source: Source, examination: Examination, seconds: float,
-            options: argparse.Namespace, command: Sequence[str]) -> Verdict:
-    """Print what was found; a program may go on."""
-    buses = examination.buses(source.is_timed)
-    why = [] if examination.bytes else _why_quiet(options.source, source, command)
-    if isinstance(source, Program):
-        ending = source.ending
-        said = verdict(shlex.join(command), buses, seconds, source.is_timed, why, source.ports,
-                       ending.trouble(), ending.doubts())
-        more = {'program': {'exit': ending.code, 'error': ending.error}}
-    else:
-        said = verdict(options.source, buses, seconds, source.is_timed, why)
-        more = {}
-    _show(said, as_json(said, buses, seconds) | more, options)
-    return said
+    return _DoctorRun(options, command, models, _flight_recorder(options, is_file)).run()
 
 
 def _explain(pasted: str) -> int:
@@ -136,77 +105,130 @@ def _explain(pasted: str) -> int:
         f'did you mean "{near}"?' if near else 'paste the line as the program printed it'))
 
 
-def _check(options: argparse.Namespace) -> None:
-    if options.source is None:
-        raise UsageError('SOURCE: none given; name a port, a file, or write dxl_doctor run -- '
-                         'python my_script.py')
-
-
-def _flight(options: argparse.Namespace, is_file: bool) -> FlightRecorder | None:
+def _flight_recorder(options: argparse.Namespace, is_file: bool) -> FlightRecorder | None:
     if not options.flight_recorder:
         return None
     if is_file:
         raise UsageError(f'--flight-recorder: {options.source} is a recording already; leave it '
                          'out')
     try:
-        return FlightRecorder(options.flight_recorder, FLIGHT_SIZE, 1)
+        return FlightRecorder(options.flight_recorder, FLIGHT_FOLDER_BYTES, 1)
     except ParameterError as error:
         raise UsageError(f'--{error}'.replace('_', '-', 1)) from error
 
 
-def _open(options: argparse.Namespace, command: Sequence[str]) -> Source:
-    if not command:
-        return open_source('dxl_doctor', options.source, options.baud, options.adapter)
-    return Program(command, options.by, sys.stderr.fileno() if options.json else None)
+class _DoctorRun:
+    """A source that is listened to, and what is said of it at the end."""
 
+    def __init__(self, options: argparse.Namespace, command: Sequence[str], models: Models,
+                 flight: FlightRecorder | None) -> None:
+        self._options = options
+        self._command = command
+        self._flight = flight
+        self._window = ErrorWindow()
+        self._examination = Examination(models, options.devices, options.protocol,
+                                        [self._window, *([flight] if flight else [])])
+        self._program = Program(command, options.by, sys.stderr.fileno() if options.json else None
+                                ) if command else None
+        self._source = self._program or open_source('dxl_doctor', options.source, options.baud,
+                                                    options.adapter)
 
-def _listen(source: Source, examination: Examination, limit_s: float | None) -> float:
-    """Listen until there is enough; return for how long (s): of the file, or by the clock."""
-    began_s = time.monotonic()
-    is_over = True
-    with _Progress() as progress:
-        try:
-            for chunk in source.chunks():
-                if chunk is not None:
-                    examination.take(chunk, source.wire(chunk.bus))
-                elif source.is_live:
-                    examination.pass_time(time.monotonic_ns() - ARRIVAL_NS)
-                now_s = time.monotonic() - began_s
-                if _has_enough(source, examination, now_s, limit_s):
-                    is_over = False
-                    break
-                progress.show(examination, now_s)
-        except KeyboardInterrupt:
-            is_over = not source.is_live
-    failed, users = '', {}
-    if isinstance(source, Program):
-        is_over, users = True, source.users
-        if not source.ending.users:            # else they may have read what is missing
-            failed = source.ending.failed
-    ended = source.ended if is_over else 0
-    if ended > examination.last:               # a recording that went on in silence
-        examination.pass_time(ended)
-        examination.finish(ended, is_over=False)
-    else:
-        goes_on = not is_over or (isinstance(source, Program) and not source.ending.is_over)
-        examination.finish(time.monotonic_ns() if goes_on else examination.last, is_over, failed,
-                           users)
-    return time.monotonic() - began_s if source.is_live else examination.seconds
+    def run(self) -> int:
+        """Listen, print the answer; return the exit code."""
+        with closing(self._source) as source:
+            try:
+                seconds = self._listen()
+            finally:
+                if self._flight is not None:
+                    self._flight.stop()
+            verdict = self._print_verdict(seconds)             # a program may go on
+            if self._options.report:
+                self._write_report(seconds)
+            for problem in [*source.problems(), *([self._flight.words] if self._flight else [])]:
+                print(f'dxl_doctor: {printable(problem)}', file=sys.stderr)
+        return verdict.code
 
+    def _listen(self) -> float:
+        """Listen until there is enough; return for how long (s): of the file, or by the clock."""
+        source, examination = self._source, self._examination
+        began_s = time.monotonic()
+        is_over = True
+        with _Progress() as progress:
+            try:
+                for chunk in source.chunks():
+                    if chunk is not None:
+                        examination.feed_chunk(chunk, source.wire(chunk.bus))
+                    elif source.is_live:
+                        examination.pass_time(time.monotonic_ns() - ARRIVAL_NS)
+                    now_s = time.monotonic() - began_s
+                    if self._has_enough(now_s):
+                        is_over = False
+                        break
+                    progress.show(examination, now_s)
+            except KeyboardInterrupt:
+                is_over = not source.is_live
+        self._finish(is_over)
+        return time.monotonic() - began_s if source.is_live else examination.seconds
 
-def _has_enough(source: Source, examination: Examination, now_s: float,
-                limit_s: float | None) -> bool:
-    """Tell whether to end; now_s: since the start."""
-    if not source.is_live:
-        return limit_s is not None and examination.seconds >= limit_s
-    if limit_s is not None:
-        return now_s >= limit_s
-    if isinstance(source, Program):
-        return False
-    if not examination.first:
-        return now_s >= SILENCE_S
-    now = time.monotonic_ns()
-    return now - examination.first >= TRAFFIC_S * 1e9 or now - examination.last >= SILENCE_S * 1e9
+    def _has_enough(self, now_s: float) -> bool:
+        """Tell whether to end; now_s: since the start."""
+        limit_s, examination = self._options.seconds, self._examination
+        if limit_s is not None:
+            return bool((now_s if self._source.is_live else examination.seconds) >= limit_s)
+        if not self._source.is_live or self._program is not None:
+            return False
+        if not examination.first:
+            return now_s >= GIVE_UP_SILENCE_S
+        now = time.monotonic_ns()
+        return now - examination.first >= ENOUGH_TRAFFIC_S * 1e9 \
+            or now - examination.last >= GIVE_UP_SILENCE_S * 1e9
+
+    def _finish(self, is_over: bool) -> None:
+        examination, program = self._examination, self._program
+        if program is not None:
+            ending = program.ending            # others may have read what is missing
+            examination.finish(examination.last if ending.is_over else time.monotonic_ns(), True,
+                               '' if ending.users else ending.failed, program.users)
+        elif is_over and self._source.ended > examination.last:    # it went on in silence
+            examination.pass_time(self._source.ended)
+            examination.finish(self._source.ended, is_over=False)
+        else:
+            examination.finish(examination.last if is_over else time.monotonic_ns(), is_over)
+
+    def _print_verdict(self, seconds: float) -> Verdict:
+        source, program = self._source, self._program
+        buses = self._examination.buses(source.is_timed)
+        is_quiet = not self._examination.bytes
+        if program is None:
+            name = self._options.source
+            verdict = make_verdict(name, buses, seconds, source.is_timed, no_data.reasons(
+                name, source.is_live) if is_quiet else ())
+            more = {}
+        else:
+            ending = program.ending
+            verdict = make_verdict(
+                shlex.join(self._command), buses, seconds, source.is_timed,
+                no_data.of_program(self._command, program.ports, ending) if is_quiet else (),
+                program.ports, ending.trouble(), ending.unknowns())
+            more = {'program': {'exit': ending.code, 'error': ending.error}}
+        _print(verdict, as_json(verdict, buses, seconds) | more, self._options)
+        return verdict
+
+    def _write_report(self, seconds: float) -> None:
+        options, is_timed = self._options, self._source.is_timed
+        ports = self._program.ports if self._program is not None else \
+            list(filter(None, [machine.device(options.source)]))
+        buses = self._examination.buses(is_timed)
+        shown = anonymous(buses)
+        verdict = make_verdict(machine.plain_name(options.source, bool(self._command)), shown,
+                               seconds, is_timed, [] if self._examination.bytes else [NOTHING])
+        maker = Maker(machine.system(), machine.adapters(ports, options.with_host),
+                      machine.host(options.source, self._command) if options.with_host else (),
+                      options.devices, options.protocol)
+        text = make_report(verdict, shown, seconds, maker, self._window.capture(new_names(buses)))
+        with open(options.report, 'w', encoding='utf-8') as file:
+            file.write(text)
+        print(f'dxl_doctor: the report is in {printable(options.report)}', file=sys.stderr)
 
 
 class _Progress:
@@ -214,7 +236,7 @@ class _Progress:
 
     def __init__(self) -> None:
         self._is_shown = sys.stderr.isatty()
-        self._next_s = PROGRESS_S
+        self._next_s = PROGRESS_EVERY_S
         self._is_well = True
 
     def show(self, examination: Examination, now_s: float) -> None:
@@ -225,7 +247,7 @@ class _Progress:
             self._is_well = False
             on_screen(sys.stderr, f'\r\033[Kdxl_doctor: {plain(worst)}\r\n')
         if now_s >= self._next_s:
-            self._next_s = now_s + PROGRESS_S
+            self._next_s = now_s + PROGRESS_EVERY_S
             text = plain(f'dxl_doctor, {now_s:.0f} s, Ctrl-C ends: {examination.summary()}')
             on_screen(sys.stderr, f'\r{text[:78]}\033[K\r')       # a program may print there too
 
@@ -237,59 +259,34 @@ class _Progress:
             on_screen(sys.stderr, '\r\033[K')
 
 
-def _why_quiet(name: str, source: Source, command: Sequence[str]) -> list[str]:
-    if isinstance(source, Program):
-        return no_data.of_program(command, source.ports, source.ending)
-    return no_data.reasons(name, source.is_live)
-
-
-def _show(said: Verdict, for_programs: dict[str, Any], options: argparse.Namespace) -> None:
+def _print(verdict: Verdict, for_programs: dict[str, Any], options: argparse.Namespace) -> None:
     if options.json:
         print(json.dumps(for_programs), flush=True)
         return
     if options.source == RUN:
         print()                        # the program may have left a line without an end
     width, height = shutil.get_terminal_size((WIDTH, HEIGHT + 1))
-    print('\n'.join(screen(said, has_colours(), width, max(HEIGHT, height - 1))),
+    print('\n'.join(screen(verdict, has_colours(), width, max(HEIGHT, height - 1))),
           flush=True)
 
 
-def _write_report(source: Source, examination: Examination, seconds: float,
-                  options: argparse.Namespace, command: Sequence[str],
-                  window: ErrorWindow) -> None:
-    ports = source.ports if isinstance(source, Program) else \
-        [port for port in [machine.device(options.source)] if port]
-    buses = examination.buses(source.is_timed)
-    names = new_names(buses)
-    shown = anonymous(buses)
-    said = verdict(machine.plain_name(options.source, bool(command)), shown, seconds,
-                   source.is_timed, [] if examination.bytes else [NOTHING])
-    maker = Maker(machine.system(), machine.adapters(ports, options.with_host),
-                  machine.host(options.source, command) if options.with_host else (),
-                  options.devices, options.protocol)
-    text = report(said, shown, seconds, maker, window.capture(names))
-    with open(options.report, 'w', encoding='utf-8') as file:
-        file.write(text)
-    print(f'dxl_doctor: the report is in {printable(options.report)}', file=sys.stderr)
-
-
-def _retell(stored: SavedReport, models: Models, options: argparse.Namespace) -> int:
+def _show_saved(saved: SavedReport, models: Models, options: argparse.Namespace) -> int:
     """Show a report of somebody else, and what its capture says now."""
     if options.report:
         raise UsageError(f'--report: {options.source} is a report already; attach that')
-    protocol = stored.protocol if stored.protocol in PROTOCOLS else DEFAULTS.protocol
-    examination = Examination(models, stored.devices, protocol)
-    for chunk in stored.chunks:
-        examination.take(chunk, stored.wires.get(chunk.bus) or Wire(chunk.bus, DEFAULT_BAUD))
+    protocol = saved.protocol if saved.protocol in PROTOCOLS else DEFAULTS.protocol
+    examination = Examination(models, saved.devices, protocol)
+    for chunk in saved.chunks:
+        examination.feed_chunk(chunk, saved.wires.get(chunk.bus) or Wire(chunk.bus, DEFAULT_BAUD))
     examination.finish(examination.last, is_over=True)
     buses, seconds = examination.buses(is_timed=True), examination.seconds
-    now = verdict('the capture of a report', buses, seconds, is_timed=True,
-                  quiet=[] if examination.bytes else [NOTHING])
-    said = stored.said or now
-    _show(said, stored.as_json or as_json(now, buses, seconds), options)
-    for problem in (*stored.problems, *_difference(stored, buses)):
+    now = make_verdict('the capture of a report', buses, seconds, is_timed=True,
+                       quiet=[] if examination.bytes else [NOTHING])
+    verdict = saved.verdict or now
+    _print(verdict, saved.as_json or as_json(now, buses, seconds), options)
+    for problem in (*saved.problems, *_difference(saved, buses)):
         print(f'dxl_doctor: {problem}', file=sys.stderr)
-    return said.code
+    return verdict.code
 
 
 def _difference(then: SavedReport, now: Sequence[BusSummary]) -> list[str]:

@@ -22,11 +22,11 @@ from servobus.tools.cli import run_tool
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
 from servobus.tools.dump.packet_lines import TIMES
+from servobus.tools.dump.recordings import CAPTURE
+from servobus.tools.dump.recordings import FORMATS
+from servobus.tools.dump.recordings import MCAP
+from servobus.tools.dump.recordings import PCAPNG
 from servobus.tools.dump.screen import has_colours
-from servobus.tools.dump.session import CAPTURE
-from servobus.tools.dump.session import FORMATS
-from servobus.tools.dump.session import MCAP
-from servobus.tools.dump.session import PCAPNG
 from servobus.tools.dump.session import Session
 from servobus.tools.dump.wireshark_tables import write_tables
 from servobus.tools.run import add_bus_options
@@ -161,8 +161,8 @@ def _parser() -> Parser:
     add('--errors', action='store_true', help='only errors')
     add('--count', type=number(int, 1), metavar='N', help='end after N packets')
     add('--seconds', type=number(float, 0), metavar='S', help='end after this time')
-    look = parser.add_argument_group('format')
-    add = look.add_argument
+    layout = parser.add_argument_group('format')
+    add = layout.add_argument
     add('-t', '--time', choices=TIMES, default='start',
         help='time since the first line, local time, or since 1970')
     add('--full', action='store_true', help='do not cut lines to the width of the terminal')

@@ -9,8 +9,11 @@ losing a byte. A listener that has left hears nothing, as on a bus.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable
 from collections.abc import Iterator
+from collections.abc import Mapping
 from contextlib import suppress
+import math
 import os
 import stat
 import sys
@@ -40,12 +43,12 @@ from servobus.tools.command_line import Parser
 from servobus.tools.run import BAUD
 from servobus.tools.run import refuse_run
 
-SLOWEST = 1e-6                     # times the original speed
+SPEED_MIN = 1e-6                   # times the original speed
 SETTLE_S = 0.5                     # a reader has opened the port, and sets it up
-QUIET_S = 1.5                      # at the end: until the last instruction is given up
+LAST_QUESTION_S = 1.5              # at the end: until the last instruction is given up
 LOOP_PAUSE_NS = 100_000_000
 POLL_S = 0.05
-RAW_SIZE = 200                     # bytes of a raw file that are sent at once
+RAW_CHUNK_BYTES = 200              # bytes of a raw file that are sent at once
 
 
 class Played(NamedTuple):
@@ -54,40 +57,31 @@ class Played(NamedTuple):
     late_s: float                  # at most
 
 
-class Player:
-    """Plays chunks to the ptys of their buses. speed 0: as fast as the readers take them."""
+def _wait_for_readers(outlets: Iterable[Pty]) -> None:
+    """Wait until somebody listens to every bus."""
+    for outlet in outlets:
+        while not outlet.is_open:
+            time.sleep(POLL_S)
+    time.sleep(SETTLE_S)
 
-    def __init__(self, outlets: dict[str, Pty], speed: float) -> None:
-        self._outlets = outlets
-        self._speed = speed
 
-    def wait_for_readers(self) -> None:
-        """Wait until somebody listens to every bus."""
-        for outlet in self._outlets.values():
-            while not outlet.is_open:
-                time.sleep(POLL_S)
-        time.sleep(SETTLE_S)
-
-    def play(self, chunks: Iterator[Chunk]) -> Played:
-        """Play to the end."""
-        begin: int | None = None
-        count = size = 0
-        late_s = 0.0
-        for chunk in chunks:
-            outlet = self._outlets.get(chunk.bus)
-            if begin is None:
-                begin, start_s = chunk.stamp, time.monotonic()
-            if outlet is None:
-                continue
-            if self._speed:
-                due_s = start_s + (chunk.stamp - begin) / 1e9 / self._speed
-                time.sleep(min(max(0.0, due_s - time.monotonic()), threading.TIMEOUT_MAX))
-            _write(outlet, chunk.data)
-            if self._speed:
-                late_s = max(late_s, time.monotonic() - due_s)
-            count += 1
-            size += len(chunk.data)
-        return Played(count, size, late_s)
+def _play(chunks: Iterable[Chunk], outlets: Mapping[str, Pty], speed: float) -> Played:
+    """Play to the ptys of the buses; speed 0: as fast as the readers take it."""
+    played = Played(0, 0, 0.0)
+    begin: int | None = None
+    for chunk in chunks:
+        if begin is None:
+            begin, start_s = chunk.stamp, time.monotonic()
+        outlet = outlets.get(chunk.bus)
+        if outlet is None:
+            continue
+        due_s = start_s + (chunk.stamp - begin) / 1e9 / speed if speed else math.inf
+        if speed:
+            time.sleep(min(max(0.0, due_s - time.monotonic()), threading.TIMEOUT_MAX))
+        _write(outlet, chunk.data)
+        played = Played(played.chunks + 1, played.bytes + len(chunk.data),
+                        max(played.late_s, time.monotonic() - due_s))
+    return played
 
 
 def _write(outlet: Pty, data: bytes) -> None:
@@ -107,7 +101,7 @@ def _run(arguments: list[str]) -> int:
     parser = _parser()
     refuse_run(parser, 'capture', arguments)
     options = parser.parse_args(arguments)
-    if 0 < options.speed < SLOWEST:
+    if 0 < options.speed < SPEED_MIN:
         raise UsageError(f'--speed {options.speed:g}: not possible; give 1 for the original '
                          'timing, 0 for the speed of the reader')
     wires = _wires(options)
@@ -116,25 +110,25 @@ def _run(arguments: list[str]) -> int:
         for name in wires:
             outlets[name] = Pty(_link(options.link, name, len(wires)))
             outlets[name].let_go()
-        _play(options, wires, outlets)
+        _play_file(options, wires, outlets)
     finally:
         for outlet in outlets.values():
             outlet.close()
     return DONE
 
 
-def _play(options: argparse.Namespace, wires: dict[str, Wire], outlets: dict[str, Pty]) -> None:
+def _play_file(options: argparse.Namespace, wires: dict[str, Wire],
+               outlets: dict[str, Pty]) -> None:
     for name, outlet in outlets.items():
         rate = f'{wires[name].baud} baud' if wires[name].baud else 'at the recorded rate'
         print(f'{outlet.link or outlet.path} is {printable(name)}, {rate}')
     print('waiting for a reader', flush=True)
-    player = Player(outlets, options.speed)
-    player.wait_for_readers()
+    _wait_for_readers(outlets.values())
     print('playing', flush=True)
     while True:
         file = open_file(options.capture, options.baud, options.adapter, tool='dxl_replay')
         try:
-            played = player.play(_chunks(file, options.side))
+            played = _play(_chunks(file, options.side), outlets, options.speed)
         finally:
             file.close()
         print(f'played {played.chunks} chunks, {played.bytes} bytes, '
@@ -144,7 +138,7 @@ def _play(options: argparse.Namespace, wires: dict[str, Wire], outlets: dict[str
         if not options.loop:
             break
         time.sleep(LOOP_PAUSE_NS / 1e9)
-    time.sleep(QUIET_S)
+    time.sleep(LAST_QUESTION_S)
     while options.stay:
         time.sleep(POLL_S)
 
@@ -152,7 +146,7 @@ def _play(options: argparse.Namespace, wires: dict[str, Wire], outlets: dict[str
 def _chunks(file: File, side: str | None) -> Iterator[Chunk]:
     """Return what is to be played: both sides as they were on the wire, or one of them."""
     if isinstance(file, RawFile):
-        file.read_size = RAW_SIZE
+        file.read_size = RAW_CHUNK_BYTES
     return (chunk for chunk in file.chunks()
             if chunk is not None and chunk.data and side in (None, chunk.side))
 
@@ -166,15 +160,19 @@ def _wires(options: argparse.Namespace) -> dict[str, Wire]:
         raise UsageError(f'{options.capture}: not a file, and a capture is read more than once; '
                          'give a file')
     source = open_file(options.capture, options.baud, options.adapter, tool='dxl_replay')
-    wires = dict(source.wires)
-    is_empty = next(_chunks(source, options.side), None) is None
-    source.close()
-    if is_capture(options.capture):
+    chunks = _chunks(source, options.side)
+    is_empty = next(chunks, None) is None
+    wires = source.wires
+    if is_capture(options.capture):            # its headers are enough
         with open(options.capture, 'rb') as file:
             reader = Reader(line for line in lines(file) if line.startswith(b'#'))
             list(reader)
         wires = {name: wire if options.baud is None else wire._replace(baud=options.baud)
                  for name, wire in reader.wires.items()}
+    else:
+        for _ in chunks:                       # in a pcap file a bus comes with its packets
+            pass
+    source.close()
     if is_empty:
         what = 'no bytes' if options.side is None else f'no bytes of --side {options.side}'
         raise UsageError(f'{options.capture}: it holds {what}; give another capture')

@@ -22,7 +22,7 @@ from servobus.errors import UsageError
 from servobus.model.models import Models
 from servobus.settings import check_models
 from servobus.settings import load_models
-from servobus.sources.capture import BAUD_LIMIT
+from servobus.sources.capture import BAUD_MAX
 from servobus.sources.opening import how_to_hear
 from servobus.tools.command_line import number
 from servobus.tools.start_program import BY
@@ -30,7 +30,7 @@ from servobus.tools.start_program import WAYS
 from servobus.tools.start_program import with_python
 
 RUN = 'run'
-BAUD = number(int, 1, BAUD_LIMIT, 'Bd')
+BAUD = number(int, 1, BAUD_MAX, 'Bd')
 _ANY = ('my_script.py',)
 
 

@@ -41,9 +41,9 @@ TRACED = ('heard through strace: an exchange with a servo takes 0.2 ms longer, e
           'call 0.03 ms')
 STOPPED = 'strace was ended; the program goes on and is no longer heard'
 HANDED_ON = ('SIGTERM', 'SIGHUP', 'SIGQUIT', 'SIGUSR1', 'SIGUSR2')
-LOOK_S = 0.5                       # between two looks at what the program does
-LOOKS = 20                         # at what it asks for, meanwhile: it waits
-REST_S = 1.0                       # for what the relay heard last
+WATCH_EVERY_S = 0.5                # between two looks at what the program does
+JOIN_CHECKS = 20                   # for what it asks for, in that time: it waits
+RELAY_WAIT_S = 1.0                 # for what the relay heard last
 _PYTHON = re.compile(r'(python|pypy)[\d.]*w?(\.exe)?')
 _SCRIPT = re.compile(rb"#!.*(python|pypy)|#!/bin/sh\n'''exec'")
 _DEVELOPER = re.compile(r'extra == .(test|docs|fuzz|mutation|release)\b')
@@ -71,7 +71,7 @@ class StartedProgram:
             if self.way == STRACE:
                 self._start_traced(program, command, outside, name, stdout)
             else:
-                self.say(f'{program} is heard through pyserial')
+                self.print_line(f'{program} is heard through pyserial')
                 self.child = subprocess.Popen([program, *command[1:]], stdout=stdout,
                                               env=environment(name, outside))
         except OSError:
@@ -94,38 +94,38 @@ class StartedProgram:
             raise OSError(0, f'{problem}; or write --by {TAP}, if the command starts Python',
                           self._command)
         if strace.loses_rights(program):
-            self.say(f'{program} runs without the rights that its file gives it: strace takes '
-                     f'them away; write sudo {self._tool} ...')
-        self.say(f'{program} is {TRACED}')
+            self.print_line(f'{program} runs without the rights that its file gives it: strace '
+                            f'takes them away; write sudo {self._tool} ...')
+        self.print_line(f'{program} is {TRACED}')
         self.child, self._relay = strace.start(
-            [program, *command[1:]], env, name, self._folder.name, stdout)
+            env, name, self._folder.name, [program, *command[1:]], stdout)
 
     @property
     def is_heard_out(self) -> bool:
         """Whether nothing more comes from strace."""
         return self._relay is None or self._relay.poll() is not None
 
-    def say(self, text: str) -> None:
+    def print_line(self, text: str) -> None:
         """Print a line about the program."""
         print(f'{self._tool}: {text}', file=sys.stderr, flush=True)
 
     def _watch(self, strace: ModuleType) -> None:
         """Say once what is not heard."""
-        before, said = set[str](), set[str]()
-        while not said & {STOPPED}:
-            for _ in range(LOOKS):
-                time.sleep(LOOK_S / LOOKS)
+        before, printed = set[str](), set[str]()
+        while not printed & {STOPPED}:
+            for _ in range(JOIN_CHECKS):
+                time.sleep(WATCH_EVERY_S / JOIN_CHECKS)
                 self._join(strace)
             if self.way == TAP:
-                found = strace.doubts(self.child.pid, set(map(os.path.realpath, self._used())))
+                found = strace.unheard(self.child.pid, set(map(os.path.realpath, self._used())))
             else:
-                found = strace.doubts(self.child.pid) if strace.tracer(self.child.pid) \
+                found = strace.unheard(self.child.pid) if strace.tracer(self.child.pid) \
                     else {STOPPED}
             if self.child.returncode is not None:
                 return
-            for text in sorted(found & before - said):
-                self.say(text)
-            said |= found & before
+            for text in sorted(found & before - printed):
+                self.print_line(text)
+            printed |= found & before
             before = found
 
     def _join(self, strace: ModuleType) -> None:
@@ -136,12 +136,13 @@ class StartedProgram:
         self._has_joined = True
         problem = strace.why_not()
         if problem:
-            self.say(f'{self._command} opens ports without pyserial, and is not heard: {problem}')
+            self.print_line(f'{self._command} opens ports without pyserial, and is not heard: '
+                            f'{problem}')
             return
-        self.say(f'{self._command} opens ports without pyserial and is {TRACED}')
+        self.print_line(f'{self._command} opens ports without pyserial and is {TRACED}')
         with suppress(OSError):                # the program has ended
-            self._strace, self._relay = strace.attach(
-                int(asked[0]), self._env, self._name, self._folder.name)
+            self._strace, self._relay = strace.start(
+                self._env, self._name, self._folder.name, process=int(asked[0]))
 
     def _used(self) -> list[str]:
         """Return the ports that were heard to be opened."""
@@ -159,7 +160,7 @@ class StartedProgram:
         self.child.wait()
         if self._relay is not None and not self._used():
             with suppress(subprocess.TimeoutExpired):
-                self._relay.wait(REST_S)
+                self._relay.wait(RELAY_WAIT_S)
         why = self.why_unheard()
         self._folder.cleanup()
         return why

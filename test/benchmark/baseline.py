@@ -35,7 +35,7 @@ from rigs.bus.score import SCENES
 from rigs.bus.score import spell
 from rigs.bus.wrecked import KINDS
 from servobus.doctor.finding_log import FindingLog
-from servobus.examination import TRAFFIC_S
+from servobus.examination import ENOUGH_TRAFFIC_S
 from servobus.tools.doctor import explain
 
 FOLDER = Path(__file__).resolve().parents[1] / 'baseline'
@@ -61,7 +61,7 @@ def field_cells(scene):
 
     def heard():
         for report, since in score.reports(scene, rig):
-            if since is None or since <= TRAFFIC_S:
+            if since is None or since <= ENOUGH_TRAFFIC_S:
                 log.take(report)
             yield report, since
     result = score.compare(scene, rig, heard(), score.BOOT)

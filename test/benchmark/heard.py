@@ -16,8 +16,7 @@ QUIET_S = 0.5
 
 def main(source, baud):
     monitor = Monitor('bus', Models(), Settings(baud=int(baud)), idle_is_told=True)
-    listener = listener_on(source, int(baud), monitor.feed, monitor.flush_if_idle,
-                           on_change=monitor.change, on_pieces=monitor.feed_pieces)
+    listener = listener_on(source, int(baud), monitor.feed_chunks, monitor.flush_if_idle)
     listener.start()
     while not listener.state.is_open:
         time.sleep(0.01)

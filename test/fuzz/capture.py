@@ -46,7 +46,7 @@ def check(data):
     whole = io.BytesIO()
     writer = Writer(whole, moment)
     for wire, chunk in written:
-        writer.take(wire, chunk)
+        writer.write_chunk(wire, chunk)
     assert writer.size == len(whole.getvalue())
     comes_back(moment, [chunk for _, chunk in written], told, whole.getvalue())
     bad = [b'(x\n', b'garbage\n', b'# bus\n', b'(1.5) - f\n']
@@ -120,9 +120,9 @@ def second_boot(moment, written, lines):
     later = Moment(moment.wall + 7200 * SECOND, 5 * SECOND)
     writer = Writer(file, moment)
     wire = Wire('left', 57600, 1, '')
-    writer.take(wire, Chunk(moment.stamp + 3600 * SECOND, wire.name, b'\1'))
+    writer.write_chunk(wire, Chunk(moment.stamp + 3600 * SECOND, wire.name, b'\1'))
     writer = Writer(file, later)
-    writer.take(wire, Chunk(6 * SECOND, wire.name, b'\2'))
+    writer.write_chunk(wire, Chunk(6 * SECOND, wire.name, b'\2'))
     both = list(Reader([*lines, *file.getvalue().splitlines(True)]))
     assert both[:len(written)] == [chunk for _, chunk in written]
     assert both[-1] == Chunk(moment.stamp + 7201 * SECOND, 'left', b'\2')

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import textwrap
 
 from msg_defs.reports import Level
-from servobus.tools.cli import WIDEST
+from servobus.tools.cli import WIDTH_MAX
 from servobus.tools.doctor.verdict import Trouble
 from servobus.tools.doctor.verdict import Verdict
 from servobus.tools.dump.packet_lines import BOLD
@@ -23,8 +23,8 @@ from servobus.tools.dump.packet_lines import paint
 from servobus.tools.dump.screen import COLOURS
 
 WIDTH, HEIGHT = 80, 23             # the shell takes one of the 24 lines
-NARROWEST = 40
-IN_FULL = 3                        # findings
+WIDTH_MIN = 40
+FULL_FINDINGS_MAX = 3              # findings
 _EVIDENCE_LINES = 3                # where there are more lines than HEIGHT; else one
 _HEARD_LINES = 5
 _UNKNOWN_LINES = 3
@@ -32,33 +32,34 @@ _CYCLES = 2
 _INDENT = '    '
 
 
-def screen(said: Verdict, colours: bool = False, width: int = WIDTH,
+def screen(verdict: Verdict, colours: bool = False, width: int = WIDTH,
            height: int = HEIGHT) -> list[str]:
-    """Return the lines, none longer than width columns (40 to WIDEST)."""
-    width = min(max(NARROWEST, width), WIDEST)
-    head = [_paint(_head(said, width), BOLD, colours)]
-    if said.quiet:
-        return [*head, '', 'Nothing was heard:', *_bullets(said.quiet, width)]
-    wrong = _wrong(said.wrong, colours, width, _EVIDENCE_LINES if height > HEIGHT else 1)
-    unknown = _unknown(said.unknown, width)
-    cycles = [fit(f'  {one}', width) for one in said.cycles[:_CYCLES]]
+    """Return the lines, none longer than width columns (40 to WIDTH_MAX)."""
+    width = min(max(WIDTH_MIN, width), WIDTH_MAX)
+    head = [paint(_head(verdict, width), BOLD if colours else None)]
+    if verdict.quiet:
+        return [*head, '', 'Nothing was heard:', *_bullets(verdict.quiet, width)]
+    wrong = _wrong(verdict.wrong, colours, width, _EVIDENCE_LINES if height > HEIGHT else 1)
+    unknown = _unknown(verdict.unknown, width)
+    cycles = [fit(f'  {one}', width) for one in verdict.cycles[:_CYCLES]]
     room = height - len(head) - len(wrong) - len(cycles) - 3
     unknown = unknown[:max(0, room - 1)] if room > 3 else []
-    heard = _heard(said, width, max(1, min(_HEARD_LINES, room - len(unknown))))
+    heard = _heard(verdict, width, max(1, min(_HEARD_LINES, room - len(unknown))))
     return [*head, '', *heard, *cycles, '', *wrong, *unknown]
 
 
-def _head(said: Verdict, width: int) -> str:
-    facts = ''.join(f'  {fact}' for fact in said.head)
-    return fit(fit(f'dxl_doctor  {said.source}', max(20, width - len(facts))) + facts, width)
+def _head(verdict: Verdict, width: int) -> str:
+    facts = ''.join(f'  {fact}' for fact in verdict.head)
+    return fit(fit(f'dxl_doctor  {verdict.source}', max(20, width - len(facts))) + facts, width)
 
 
-def _heard(said: Verdict, width: int, most: int) -> list[str]:
-    heard = f'Heard, {said.protocol}:' if said.protocol else 'Heard:'
-    if not said.heard:
+def _heard(verdict: Verdict, width: int, most: int) -> list[str]:
+    heard = f'Heard, {verdict.protocol}:' if verdict.protocol else 'Heard:'
+    if not verdict.heard:
         return [f'{heard} no device']
     lines = [fit(f'  {one.who}  {one.what}', width)
-             for one in sorted(said.heard, key=lambda one: one.level in (Level.OK, Level.STALE))]
+             for one in sorted(verdict.heard,
+                               key=lambda one: one.level in (Level.OK, Level.STALE))]
     if len(lines) > most:
         cut = max(0, most - 1)
         lines = [*lines[:cut], f'  and {len(lines) - cut} more lines: --json lists all']
@@ -66,17 +67,16 @@ def _heard(said: Verdict, width: int, most: int) -> list[str]:
 
 
 def _wrong(entries: Sequence[Trouble], colours: bool, width: int, evidence: int) -> list[str]:
+    well = paint('Wrong: nothing that listening can find', GREEN if colours else None)
     if not entries:
-        return [_paint('Wrong: nothing that listening can find', GREEN, colours)]
-    lines = ['Wrong:']
-    if entries[0].level is Level.OK:
-        lines = [_paint('Wrong: nothing that listening can find', GREEN, colours), 'Advice:']
-    for number, entry in enumerate(entries[:IN_FULL], 1):
+        return [well]
+    lines = [well, 'Advice:'] if entries[0].level is Level.OK else ['Wrong:']
+    for number, entry in enumerate(entries[:FULL_FINDINGS_MAX], 1):
         lines += _in_full(number, entry, colours, width, evidence)
-    rest = entries[IN_FULL:]
-    shown = rest if len(rest) <= IN_FULL else rest[:IN_FULL - 1]
+    rest = entries[FULL_FINDINGS_MAX:]
+    shown = rest if len(rest) <= FULL_FINDINGS_MAX else rest[:FULL_FINDINGS_MAX - 1]
     lines += [fit(f'  {_title(number, entry)}: {entry.message}', width)
-              for number, entry in enumerate(shown, IN_FULL + 1)]
+              for number, entry in enumerate(shown, FULL_FINDINGS_MAX + 1)]
     if len(shown) < len(rest):
         lines.append(f'  and {len(rest) - len(shown)} more: --json lists all')
     return lines
@@ -84,7 +84,7 @@ def _wrong(entries: Sequence[Trouble], colours: bool, width: int, evidence: int)
 
 def _in_full(number: int, entry: Trouble, colours: bool, width: int, evidence: int) -> list[str]:
     title = fit(f'  {_title(number, entry)}', width)
-    lines = [_paint(title, COLOURS.get(entry.level), colours)]
+    lines = [paint(title, COLOURS.get(entry.level) if colours else None)]
     lines += _wrapped(entry.message, width, 2)
     if entry.evidence and entry.rule:
         lines += _wrapped(f'Evidence: {entry.evidence}', width, evidence)
@@ -119,7 +119,3 @@ def _wrapped(text: str, width: int, most: int) -> list[str]:
     if len(lines) > most:
         lines = [*lines[:most - 1], fit(' '.join(lines[most - 1:]), width - len(_INDENT))]
     return [_INDENT + line for line in lines]
-
-
-def _paint(text: str, colour: str | None, colours: bool) -> str:
-    return paint(text, colour) if colours and colour is not None else text

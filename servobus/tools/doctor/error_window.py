@@ -8,13 +8,9 @@ Until something is wrong the newest are kept; then those that come for half of t
 
 from __future__ import annotations
 
-from base64 import b64encode
 from collections import deque
-from collections.abc import Iterator
 from collections.abc import Mapping
 import io
-import textwrap
-import zlib
 
 from msg_defs.event import Chunk
 from msg_defs.reports import Level
@@ -23,11 +19,9 @@ from servobus.sources.capture import Moment
 from servobus.sources.capture import Wire
 from servobus.sources.capture import Writer
 
-SECONDS = 30
-SIZE_LIMIT = 1_500_000             # bytes of the bus; as text in a report about half of that
-BLOCK_SIZE = 200_000               # text that is packed at once: damage costs one block
-_HALF_NS = SECONDS * 500_000_000
-_COLUMNS = 100
+WINDOW_S = 30
+WINDOW_MAX_BYTES = 1_500_000       # bytes of the bus; as text in a report about half of that
+_HALF_NS = WINDOW_S * 500_000_000
 
 
 class ErrorWindow:
@@ -38,19 +32,19 @@ class ErrorWindow:
         self._chunks: deque[tuple[Chunk, Wire]] = deque()
         self._size = 0
 
-    def take(self, wire: Wire, chunk: Chunk) -> None:
+    def record_chunk(self, wire: Wire, chunk: Chunk) -> None:
         """Keep a chunk, if it is near enough to the first error, or to now."""
         if self.first_error and (chunk.stamp > self.first_error + _HALF_NS
-                                 or self._size > SIZE_LIMIT):
+                                 or self._size > WINDOW_MAX_BYTES):
             return
         self._chunks.append((chunk, wire))
         self._size += len(chunk.data)
         before = self.first_error - _HALF_NS if self.first_error else chunk.stamp - 2 * _HALF_NS
         while self._chunks and (self._chunks[0][0].stamp < before or (
-                self._size > SIZE_LIMIT and not self.first_error)):
+                self._size > WINDOW_MAX_BYTES and not self.first_error)):
             self._size -= len(self._chunks.popleft()[0].data)
 
-    def look(self, bus: str, report: BusReport) -> None:
+    def record_report(self, bus: str, report: BusReport) -> None:
         """Note the time of the first report with a finding that is no advice."""
         if not self.first_error and any(one.level > Level.OK for one in report.findings):
             self.first_error = report.stamp
@@ -61,13 +55,5 @@ class ErrorWindow:
         writer = Writer(file, Moment(0, self._chunks[0][0].stamp if self._chunks else 0))
         for chunk, wire in self._chunks:
             name = names.get(chunk.bus, 'bus')
-            writer.take(wire._replace(name=name, port=''), chunk._replace(bus=name))
+            writer.write_chunk(wire._replace(name=name, port=''), chunk._replace(bus=name))
         return file.getvalue()
-
-
-def packed(capture: bytes) -> Iterator[str]:
-    """Yield a capture as lines of text, a blank line after each block of it."""
-    for at in range(0, len(capture), BLOCK_SIZE):
-        text = b64encode(zlib.compress(capture[at:at + BLOCK_SIZE], 9)).decode()
-        yield from textwrap.wrap(text, _COLUMNS)
-        yield ''

@@ -20,8 +20,8 @@ from typing import NamedTuple
 import yaml
 
 _FILE = 'errors.yaml'
-_SHORTEST = 5                      # characters of a pasted part that may stand for a text
-_NEAR = 0.6                        # alike enough for a guess, 0 to 1
+_PART_MIN_LENGTH = 5               # characters of a pasted part that may stand for a text
+_LIKENESS_MIN = 0.6                # alike enough for a guess, 0 to 1
 _WIDTH = 80
 # What stands before a return code; "position error" is a measurement.
 _RESULT = (r'(?:result|(?<=[a-z])error|(?<![a-z])'
@@ -37,25 +37,21 @@ class Explanation(NamedTuple):
     """
 
     text: str
-    says: tuple[str, ...]
-    also: tuple[str, ...]
+    says: Sequence[str]
     means: str
-    findings: tuple[str, ...]
-    do: str
-    code: int
-    pattern: str
-    is_general: bool
+    findings: Sequence[str]
+    also: Sequence[str] = ()
+    do: str = ''
+    code: int = 0
+    pattern: str = ''
+    is_general: bool = False
 
 
 @cache
 def explanations() -> tuple[Explanation, ...]:
     """Return all texts, in the order of the file."""
     file = resources.files('servobus.tools.doctor') / _FILE
-    return tuple(Explanation(one['text'], tuple(one['says']), tuple(one.get('also', ())),
-                             one['means'], tuple(one['findings']), one.get('do', ''),
-                             one.get('code', 0), one.get('pattern', ''),
-                             one.get('is_general', False))
-                 for one in yaml.safe_load(file.read_text(encoding='utf-8')))
+    return tuple(Explanation(**one) for one in yaml.safe_load(file.read_text(encoding='utf-8')))
 
 
 def find(pasted: str) -> list[Explanation]:
@@ -75,7 +71,7 @@ def _place(one: Explanation, wanted: str) -> int | None:
     texts = [_plain(text) for text in (one.text, *one.also)]
     places = [found.start() for pattern in (*map(_form, texts), _code(one.code), one.pattern)
               if pattern and (found := re.search(pattern, wanted))]
-    if len(wanted) >= _SHORTEST and any(
+    if len(wanted) >= _PART_MIN_LENGTH and any(
             wanted in part for text in texts for part in text.split('{}')):
         places.append(0)
     return min(places, default=None)
@@ -95,7 +91,7 @@ def nearest(pasted: str) -> str:
     def likeness(text: str) -> float:
         return SequenceMatcher(None, _plain(text), _plain(pasted)).ratio()
     best = max((one.text for one in explanations()), key=likeness)
-    return best if likeness(best) >= _NEAR else ''
+    return best if likeness(best) >= _LIKENESS_MIN else ''
 
 
 def _plain(text: str) -> str:

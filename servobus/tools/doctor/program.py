@@ -44,7 +44,7 @@ from servobus.tools.start_program import StartedProgram
 from servobus.tools.start_program import STRACE
 
 TICK_S = 0.1
-REST_S = 1.0                       # for what the program said last
+LAST_RECORDS_WAIT_S = 1.0          # for what the program said last
 # Packages that drive servos; an exception that came through one is about the bus.
 LIBRARIES = frozenset((
     'lerobot', 'dynamixel_sdk', 'scservo_sdk', 'pypot', 'dynio', 'rustypot', 'st3215',
@@ -54,8 +54,8 @@ LIBRARIES = frozenset((
 
 CRASHES = {getattr(signal, f'SIG{name}', None) for name in (
     'ILL', 'TRAP', 'ABRT', 'BUS', 'FPE', 'SEGV', 'SYS')}
-TURNS = 4                          # between two who ask: a parent that hands on has fewer
-LEFT_S = 0.5                       # a process that still runs then has closed our connection
+TURNS_OF_TWO = 4                   # between two who ask: a parent that hands on has fewer
+LEFT_AFTER_S = 0.5                 # a process that still runs then has closed our connection
 _LEFT = ('the program closed the connection of the tap after {:.1f} s; what it sent and received '
          f'since then was not heard: write --by {STRACE} in front of --')
 _IN_BACKGROUND = ('the program goes on in the background and is no longer heard: let it run in '
@@ -100,7 +100,7 @@ class Ending(NamedTuple):
         return Trouble(Level.WARN, 'the program', '', f'it ended with {self.error}',
                        means[0].means if means else '')
 
-    def doubts(self) -> list[str]:
+    def unknowns(self) -> list[str]:
         """Return what is unknown of a program that ended with another error."""
         found = [*self.missed]
         if self.users:
@@ -127,7 +127,7 @@ class Openings:
         self.found: dict[str, str] = {}
         self._ports: dict[str, tuple[set[int], list[int]]] = {}        # who wrote, in turns
 
-    def take(self, bus: str, record: TapRecord) -> None:
+    def count_record(self, bus: str, record: TapRecord) -> None:
         opened, turns = self._ports.setdefault(bus, (set(), []))
         is_shared, is_other = len(opened) > 1, turns[-1:] != [record.opening]
         if record.kind == OPENED:
@@ -137,10 +137,10 @@ class Openings:
         elif record.side == IN:                # another has asked since it did
             self.is_robbed |= is_other and record.opening in turns
         elif record.side and is_other:
-            turns[:] = [*turns, record.opening][-TURNS:]
+            turns[:] = [*turns, record.opening][-TURNS_OF_TWO:]
         if is_shared and self.is_robbed:
             self.found[bus] = ROBBER
-        elif is_shared and len(turns) == TURNS > len({*turns}):
+        elif is_shared and len(turns) == TURNS_OF_TWO > len({*turns}):
             self.found.setdefault(bus, OWN)
 
 
@@ -161,7 +161,7 @@ class Program(Source):
         self._openings = Openings()
         self._missed: tuple[str, ...] = ()
         self._began_s = time.monotonic()
-        self._look_who([
+        self._add_users([
             word for word in command if os.path.exists(word) and Path(word).is_char_device()])
         self._reader = TapReader(name)
         try:
@@ -170,29 +170,29 @@ class Program(Source):
             self._reader.close()
             raise
         self._child = self._started.child
-        signal.signal(signal.SIGINT, self._note_stop)  # the terminal sends it to the child too
+        signal.signal(signal.SIGINT, self._remember_stop)  # the terminal sends it to the child too
 
-    def _note_stop(self, *_: object) -> None:
+    def _remember_stop(self, *_: object) -> None:
         self._was_stopped = True
 
     def chunks(self) -> Iterator[Chunk | None]:
         """Yield what it reads and writes, until it ends; None when nothing came for a moment."""
         while self._child.poll() is None:
             yield from self._some(self._reader.wait(TICK_S))
-            self._note_left()
-        until_s = time.monotonic() + REST_S
+            self._find_left()
+        until_s = time.monotonic() + LAST_RECORDS_WAIT_S
         while (self._reader.programs or self._reader.left or not self._started.is_heard_out) \
                 and time.monotonic() < until_s:
             yield from self._some(self._reader.wait(TICK_S))
-            self._note_left()
+            self._find_left()
         yield from self._some(self._reader.rest())
         if self._reader.programs and not self._started.is_traced:
             self._missed = (*self._missed, _IN_BACKGROUND)
-        self._look_who(self.ports)             # while it ran it was one of them
+        self._add_users(self.ports)             # while it ran it was one of them
 
-    def _note_left(self) -> None:
+    def _find_left(self) -> None:
         """Note a process that is no longer connected and runs, with a port open as we know."""
-        due_s = time.monotonic() - LEFT_S
+        due_s = time.monotonic() - LEFT_AFTER_S
         for process, at_s in list(self._reader.left.items()):
             is_left = is_running(process)
             if at_s < due_s or not is_left:
@@ -200,7 +200,7 @@ class Program(Source):
                 if is_left:
                     self._missed = (*self._missed, _LEFT.format(at_s - self._began_s))
 
-    def _look_who(self, ports: Sequence[str]) -> None:
+    def _add_users(self, ports: Sequence[str]) -> None:
         for port in ports:
             found = self._others.setdefault(ntpath.basename(port), [])
             found += [one.name for one in holders(port)
@@ -236,19 +236,16 @@ class Program(Source):
 
     def _chunk(self, record: TapRecord) -> Chunk | None:
         if record.kind == ENDED:
-            said: dict[str, Any] = json.loads(record.data)
-            self._ending = Ending(error=printable(' '.join(said['error'].split())),
-                                  packages=frozenset(said['packages']), python=said['python'])
+            ended: dict[str, Any] = json.loads(record.data)
+            self._ending = Ending(error=printable(' '.join(ended['error'].split())),
+                                  packages=frozenset(ended['packages']),
+                                  python=ended['python'])
             self._openings.is_robbed |= _ROBBED in self._ending.error
         if record.kind == OPENED and record.port not in self.ports:
             self.ports.append(record.port)
         bus = ntpath.basename(record.port)           # works for both kinds of path
-        self._openings.take(bus, record)
-        if record.side:
-            return Chunk(record.stamp, bus, record.data, record.side)
-        if record.change is None or not bus:
-            return None
-        return Chunk(record.stamp, bus, change=record.change)
+        self._openings.count_record(bus, record)
+        return record.chunk(bus) if record.side or (record.change and bus) else None
 
     def wire(self, bus: str) -> Wire:
         """Return what is known of a bus: its rate comes with its opening."""
@@ -258,5 +255,5 @@ class Program(Source):
         """Stop to listen, and wait for the program."""
         self._reader.close()
         if self._child.poll() is None:
-            self._started.say('the program goes on and is no longer heard; Ctrl-C ends it')
+            self._started.print_line('the program goes on and is no longer heard; Ctrl-C ends it')
         self._unheard = self._started.end()

@@ -30,9 +30,9 @@ from servobus.plain_data import finding_data
 from servobus.tools.dump.text_format import spans
 
 WELL, NOTHING_HEARD, WARNING, ERROR = 0, 1, 3, 4      # exit codes; 2 is a wrong command line
-PORTS_NAMED = 2
-SMALL = 0.005                      # share of a cycle that is not worth a word
-LOAD_NS = 2_000_000_000             # the load of a shorter time says nothing
+PORTS_NAMED_MAX = 2
+SMALL_SHARE = 0.005                # share of a cycle that is not worth a word
+LOAD_MIN_NS = 2_000_000_000         # the load of a shorter time says nothing
 _CODES = {Level.WARN: WARNING, Level.ERROR: ERROR}
 ID = '{:03}'
 _UNTIMED = 'waits and periods: this file holds no times; record with dxl_dump -w FILE'
@@ -76,22 +76,23 @@ class Verdict(NamedTuple):
         return max((_CODES.get(entry.level, WELL) for entry in self.wrong), default=WELL)
 
 
-def verdict(source: str, buses: Sequence[BusSummary], seconds: float, is_timed: bool,
-            quiet: Sequence[str] = (), ports: Sequence[str] = (), ended: Trouble | None = None,
-            doubts: Sequence[str] = ()) -> Verdict:
+def make_verdict(source: str, buses: Sequence[BusSummary], seconds: float, is_timed: bool,
+                 quiet: Sequence[str] = (), ports: Sequence[str] = (),
+                 ended: Trouble | None = None,
+                 more_unknown: Sequence[str] = ()) -> Verdict:
     """
     Return what is said of a run of so many seconds; quiet: why nothing was heard, if so.
 
     Of a program: its ports, the error with which it ended, what is unknown of that.
     """
-    unknown = [*doubts, *([] if is_timed or quiet else [_UNTIMED])]
+    unknown = [*more_unknown, *([] if is_timed or quiet else [_UNTIMED])]
     for bus in buses:
         unknown += [f'{doubt.rule.replace("_", " ")}, {bus.who(doubt.device)}: {doubt.message}'
                     for doubt in bus.report.doubts if is_timed or doubt.rule not in NEEDS_TIMES]
         unknown += [f'{bus.who(one.id)}: {printable(one.message)}; the cause is unknown'
                     for one in _unnamed(bus) if _is_slight(one)]
     wrong = [entry for bus in buses for entry in _wrong(bus)] + [one for one in [ended] if one]
-    return Verdict(printable(source), (*map(os.path.basename, ports[:PORTS_NAMED]),
+    return Verdict(printable(source), (*map(os.path.basename, ports[:PORTS_NAMED_MAX]),
                                        *_head(buses, seconds, is_timed)),
                    tuple(one for bus in buses for one in _heard(bus)),
                    tuple(sorted(wrong, key=lambda entry: -entry.level)), tuple(unknown),
@@ -107,7 +108,7 @@ def _cycle(bus: BusSummary) -> str:
                     ('strace', times.tracer),
                     *((f'waiting for {number:03}', ms) for number, ms in times.waiting)],
                    key=lambda part: -part[1])
-    shown = ', '.join(f'{name} {_ms(ms)}' for name, ms in parts if ms > SMALL * times.cycle)
+    shown = ', '.join(f'{name} {_ms(ms)}' for name, ms in parts if ms > SMALL_SHARE * times.cycle)
     shown += ' (waiting and program are not known apart)' if times.is_blurred else ''
     return f'{place}{_ms(times.cycle)} ms a cycle' + (
         f'; its parts are unknown: {times.unknown}' if times.unknown else f': {shown}')
@@ -128,7 +129,7 @@ def _head(buses: Sequence[BusSummary], seconds: float, is_timed: bool) -> tuple[
     packets = sum(report.counters['Packets'] for report in reports)
     parts.append(f'{packets} packet{"s" * (packets != 1)}')
     loads = [metric.value or 0.0 for report in reports for metric in report.metrics
-             if metric.name == 'bus_load' and report.stamp - report.started > LOAD_NS
+             if metric.name == 'bus_load' and report.stamp - report.started > LOAD_MIN_NS
              ] if is_timed else []
     return (*parts, *([f'load {max(loads):.0f} %'] if loads else []))
 
@@ -187,8 +188,9 @@ def _alike(logged: Sequence[Logged]) -> list[list[Logged]]:
     """Return findings of several devices that say the same together, the others alone."""
     groups: dict[tuple[str, Level, str, bool], list[Logged]] = {}
     for one in logged:
-        said = one.finding
-        groups.setdefault((said.rule, said.level, said.message, one.stands), []).append(one)
+        finding = one.finding
+        key = finding.rule, finding.level, finding.message, one.stands
+        groups.setdefault(key, []).append(one)
     return list(groups.values())
 
 
@@ -212,12 +214,12 @@ def _evidence(one: Logged) -> str:
     return printable('; '.join([when, *figures]))
 
 
-def as_json(said: Verdict, buses: Sequence[BusSummary], seconds: float) -> dict[str, Any]:
+def as_json(verdict: Verdict, buses: Sequence[BusSummary], seconds: float) -> dict[str, Any]:
     """Return a run for programs: seconds from the first byte on, levels in words."""
     return {
-        'source': said.source, 'seconds': round(seconds, 3), 'exit': said.code,
-        'wrong': [[one.level.name, one.who, one.rule, one.message] for one in said.wrong],
-        'nothing_heard': list(said.quiet), 'cannot_tell': list(said.unknown),
+        'source': verdict.source, 'seconds': round(seconds, 3), 'exit': verdict.code,
+        'wrong': [[one.level.name, one.who, one.rule, one.message] for one in verdict.wrong],
+        'nothing_heard': list(verdict.quiet), 'cannot_tell': list(verdict.unknown),
         'buses': [bus_data(bus.report) | {
             'devices': [device_data(device) for device in bus.report.devices],
             'findings': [_finding_json(one, bus) for one in bus.logged]} for bus in buses]}

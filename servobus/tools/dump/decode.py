@@ -20,8 +20,8 @@ from servobus.model.control_table import Value
 from servobus.tools.dump.listing import Entry
 from servobus.tools.dump.listing import Listing
 
-LAYOUTS_KEPT = 1024
-LONGEST = 1024                     # bytes of data: more do not fit into a packet
+LAYOUTS_MAX = 1024
+DATA_MAX_BYTES = 1024              # bytes of data: more do not fit into a packet
 _PING_DATA = 3
 _NOTHING = Table()
 
@@ -105,7 +105,7 @@ class Interpreter:
     def _layout(self, model: Model, access: Access, table: Table) -> Layout:
         """Return the fields that lie wholly in a range, and which of its bytes are theirs."""
         _, address, length, _ = access
-        if model is UNKNOWN or length > LONGEST:
+        if model is UNKNOWN or length > DATA_MAX_BYTES:
             return ()
         targets: tuple[int, ...] = ()
         if any(one.data < address + length and address < one.data + one.size
@@ -114,7 +114,7 @@ class Interpreter:
         key = model, address, length, targets
         layout = self._layouts.get(key)
         if layout is None:
-            if len(self._layouts) >= LAYOUTS_KEPT:
+            if len(self._layouts) >= LAYOUTS_MAX:
                 self._layouts.clear()
             layout = self._layouts[key] = _lay_out(
                 model, targets or tuple(range(address, address + length)))

@@ -44,7 +44,7 @@ def json_line(bus: str, stamp_us: int, packet: Packet, entry: Entry, parts: Sequ
     if parts:
         record['registers'] = [_registers(part) for part in parts]
     if entry.notes:
-        record['notes'] = [text_of(note) for note in entry.notes]
+        record['notes'] = [text_of(incident) for incident in entry.notes]
     return json.dumps(record)
 
 

@@ -43,12 +43,12 @@ PACKET = 'packet'
 DAMAGED = 'damaged'
 MISSED = 'missed'                  # an answer that did not come
 NOISE = 'noise'
-NOISE_TOLD = 4096                  # bytes without any packet, until that is worth an entry
+NOISE_ENTRY_BYTES = 4096           # bytes without any packet, until that is worth an entry
 NO_REQUEST = NO_PLAN.request
 
-_ABOUT_A_STATUS = (ev.UNASKED, ev.LATE, ev.SECOND_ANSWER, ev.WRONG_SIZE, ev.BAD_ID)
+_STATUS_INCIDENTS = (ev.UNASKED, ev.LATE, ev.SECOND_ANSWER, ev.WRONG_SIZE, ev.BAD_ID)
 _CRC_SIZE = 2
-_ALL = 1 << 62                     # a stream offset after every other
+_LAST_OFFSET = 1 << 62                     # a stream offset after every other
 
 
 class Entry(NamedTuple):
@@ -76,7 +76,7 @@ class Entry(NamedTuple):
     before: bytes = b''                    # bytes in front of it that are no packet
 
 
-class _Tape:
+class _RecentBytes:
     """The newest bytes of a side, until it is known what they are."""
 
     def __init__(self) -> None:
@@ -116,9 +116,9 @@ class Listing(BusDecoder):
         self._is_plain = is_plain
         self._on_entry = on_entry
         self._newest = 0                       # stamp of the last entry
-        self._noise_told = 0
-        self._is_told = False                  # what was damaged since the last good packet is
-        self._tapes: defaultdict[str, _Tape] = defaultdict(_Tape)    # by side
+        self._noise_entered = 0
+        self._is_damage_entered = False        # since the last good packet
+        self._recent: defaultdict[str, _RecentBytes] = defaultdict(_RecentBytes)    # by side
 
     def device(self, number: int) -> Device | None:
         """Return a device with the model that it said it is. Only while an entry is taken."""
@@ -128,13 +128,13 @@ class Listing(BusDecoder):
         return device
 
     def hear(self, chunk: bytes, stamp: int, side: str = UNKNOWN) -> None:
-        self._tapes[side].add(chunk)
+        self._recent[side].add(chunk)
         super().hear(chunk, stamp, side)
 
     def rest(self) -> Iterator[tuple[str, bytes]]:
         """Yield what is left of each side at the end: no packet."""
-        for side, tape in self._tapes.items():
-            yield side, tape.cut(_ALL, _ALL)[0]
+        for side, recent in self._recent.items():
+            yield side, recent.cut(_LAST_OFFSET, _LAST_OFFSET)[0]
 
     def take(self, frames: Frames, stamp: int, received: int, side: str = UNKNOWN) -> None:
         for number, frame in enumerate(frames):
@@ -142,10 +142,10 @@ class Listing(BusDecoder):
             self._newest = max(self._newest, self._began(begin, stamp, received))
             if flaw is not None and flaw.reason:
                 following = frames[number + 1][0] if number + 1 < len(frames) else received
-                self._damaged(frame, flaw, stamp, received, side, following)
+                self._enter_damaged(frame, flaw, stamp, received, side, following)
             else:
-                self._good(frame, stamp, received, side)
-        self._tell_much_noise(bool(frames), stamp, side)
+                self._enter_good(frame, stamp, received, side)
+        self._enter_much_noise(bool(frames), stamp, side)
 
     def _began(self, start: int, stamp: int, received: int) -> int:
         """Return when the byte at this offset was on the wire."""
@@ -156,24 +156,24 @@ class Listing(BusDecoder):
     def pause(self, last: int, now: int) -> None:
         plan, counts = self.tracker.pending, _missed(self.tracker.pending)
         super().pause(last, now)
-        self._tell_missed(plan, counts, now)
+        self._enter_missed(plan, counts, now)
 
-    def _damaged(self, frame: Frame, flaw: Flaw, stamp: int, received: int, side: str,
+    def _enter_damaged(self, frame: Frame, flaw: Flaw, stamp: int, received: int, side: str,
                  following: int) -> None:
-        """Take a damaged frame; its Length may be wrong, and the next frame begin in it."""
+        """Enter a damaged frame; its Length may be wrong, and the next frame begin in it."""
         super().take([frame], stamp, received, side)
-        self._is_told = True
+        self._is_damage_entered = True
         _, _, kind, number, code, data, _ = frame
-        before, wire = self._tapes[side].cut(frame[0], min(frame[1], following))
+        before, wire = self._recent[side].cut(frame[0], min(frame[1], following))
         self._on_entry(Entry(DAMAGED, self._newest, device=self.device(number), data=data,
                              code=STATUS if kind == IS_STATUS else code, reason=flaw.reason,
                              side=side, wire=wire, before=before))
 
-    def _good(self, frame: Frame, stamp: int, received: int, side: str) -> None:
+    def _enter_good(self, frame: Frame, stamp: int, received: int, side: str) -> None:
         flaw = frame[6]
-        if flaw is not None and flaw.noise_length > GLITCH and not self._is_told:
+        if flaw is not None and flaw.noise_length > GLITCH and not self._is_damage_entered:
             self._on_entry(Entry(NOISE, self._newest, length=flaw.noise_length, side=side))
-        self._is_told = False
+        self._is_damage_entered = False
         noted = self.evidence.noted
         plan = self.tracker.pending
         if frame[2] == IS_STATUS:
@@ -181,16 +181,16 @@ class Listing(BusDecoder):
         else:
             counts = _missed(plan)
             super().take([frame], stamp, received, side)
-            self._tell_missed(plan, counts, self._newest)
+            self._enter_missed(plan, counts, self._newest)
         if self._is_plain:
-            before, wire = self._tapes[side].cut(frame[0], frame[1])
+            before, wire = self._recent[side].cut(frame[0], frame[1])
             self._on_entry(Entry(PACKET, self._newest, side=side, wire=wire, before=before))
         else:
-            self._heard(frame, self.evidence.newest(self.evidence.noted - noted), side)
+            self._enter_packet(frame, self.evidence.newest(self.evidence.noted - noted), side)
 
-    def _heard(self, frame: Frame, incidents: tuple[Incident[Any], ...], side: str) -> None:
+    def _enter_packet(self, frame: Frame, incidents: tuple[Incident[Any], ...], side: str) -> None:
         packet = packet_of(frame, self._newest)
-        notes = tuple(one for one in incidents if one.kind in _ABOUT_A_STATUS)
+        notes = tuple(one for one in incidents if one.kind in _STATUS_INCIDENTS)
         request = self.tracker.pending.request
         blocks: tuple[Block, ...] = ()
         if packet.error is None:
@@ -204,28 +204,29 @@ class Listing(BusDecoder):
                 wire += body_crc(wire).to_bytes(_CRC_SIZE, 'little')
                 blocks = tuple(split_combined(wire, request.accesses))
         is_sure = packet.error is None or not self.tracker.is_doubtful
-        before, wire = self._tapes[side].cut(frame[0], frame[1])
+        before, wire = self._recent[side].cut(frame[0], frame[1])
         self._on_entry(Entry(PACKET, self._newest, packet, request, self.device(packet.id),
                              blocks, notes, is_sure=is_sure, side=side, wire=wire,
                              before=before))
 
-    def _tell_much_noise(self, has_frames: bool, stamp: int, side: str) -> None:
-        """Report noise without any packet after it, as at a wrong baud rate."""
+    def _enter_much_noise(self, has_frames: bool, stamp: int, side: str) -> None:
+        """Enter noise without any packet after it, as at a wrong baud rate."""
         if has_frames:
-            self._noise_told = -1
+            self._noise_entered = -1
             return
         noise = self.total('noise_bytes')
-        if self._noise_told < 0:
-            self._noise_told = noise
-        elif noise - self._noise_told > NOISE_TOLD:
-            end = self.framers[side].bytes - NOISE_TOLD // 2       # the rest may become a packet
+        if self._noise_entered < 0:
+            self._noise_entered = noise
+        elif noise - self._noise_entered > NOISE_ENTRY_BYTES:
+            # The rest may become a packet.
+            end = self.framers[side].bytes - NOISE_ENTRY_BYTES // 2
             self._on_entry(Entry(NOISE, stamp, data=self.framers[side].noise[-16:],
-                                 length=noise - self._noise_told, side=side,
-                                 before=self._tapes[side].cut(end, end)[0]))
-            self._noise_told = noise
-            self._is_told = True
+                                 length=noise - self._noise_entered, side=side,
+                                 before=self._recent[side].cut(end, end)[0]))
+            self._noise_entered = noise
+            self._is_damage_entered = True
 
-    def _tell_missed(self, plan: Plan, counts: dict[Device, int], stamp: int) -> None:
+    def _enter_missed(self, plan: Plan, counts: dict[Device, int], stamp: int) -> None:
         for device, count in counts.items():
             if device.counts.missed > count:
                 self._on_entry(Entry(MISSED, stamp, request=plan.request, device=device))

@@ -8,7 +8,6 @@ needs; it writes a folder with the file in it, so the file is there at the end.
 """
 from __future__ import annotations
 
-from collections.abc import Callable
 from collections.abc import Mapping
 from collections.abc import Sequence
 from math import nan
@@ -17,6 +16,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from msg_defs.event import Chunk
 from msg_defs.reports import Joint
 from msg_defs.reports import metric_status
 from msg_defs.reports import Status
@@ -24,8 +24,7 @@ from msg_defs.reports import topic_names
 from servobus.bus.report import BusReport
 from servobus.errors import UsageError
 from servobus.monitor import Monitor
-from servobus.sources.capture import Moment
-from servobus.sources.capture import Wire
+from servobus.sources.source import Source
 from servobus.status import device_metrics
 from servobus.status import PortState
 from servobus.status import statuses_of
@@ -40,7 +39,7 @@ _MAGIC = b'\x89MCAP0\r\n'
 class McapRecording:
     """Writes to `path` when it is closed."""
 
-    def __init__(self, path: str) -> None:
+    def __init__(self, path: str, source: Source) -> None:
         try:
             from rosbags.rosbag2 import StoragePlugin
             from rosbags.rosbag2 import Writer
@@ -49,6 +48,7 @@ class McapRecording:
         except ImportError as error:
             raise UsageError(f'-w {path}: an MCAP file needs rosbags 0.10.9 or newer; '
                              'pip install -U rosbags') from error
+        self._source = source
         self._path = Path(path).absolute()
         self._store = get_typestore(Stores.ROS2_JAZZY)
         self._folder = TemporaryDirectory(dir=self._path.parent)
@@ -59,15 +59,15 @@ class McapRecording:
         self._next_report = self._next_timing = self._next_joints = 0
         self._since: dict[str, int] = {}           # up to when joints were written, by bus
 
-    def pass_time(self, now: int, began: Moment, monitors: Mapping[str, Monitor],
-                  wire: Callable[[str], Wire]) -> None:
-        """Write what is due until now, a monotonic stamp."""
+    def record_chunk(self, chunk: Chunk, monitors: Mapping[str, Monitor]) -> None:
+        """Write what is due at a chunk, which was fed to the monitor of its bus."""
+        now, began = chunk.stamp, self._source.began
         later = began.wall - began.stamp
         if now >= self._next_report:
             self._next_report = now + REPORT_NS
-            self._write_reports(
-                now, now + later, [(bus if len(monitors) > 1 else '', wire(bus).port,
-                                    monitor.report(now)) for bus, monitor in monitors.items()])
+            self._write_reports(now, now + later, [
+                (bus if len(monitors) > 1 else '', self._source.wire(bus).port,
+                 monitor.report(now)) for bus, monitor in monitors.items()])
         if now >= self._next_joints:
             self._next_joints = now + JOINTS_NS
             self._write_joints(monitors, later)
@@ -125,6 +125,9 @@ class McapRecording:
 
     def _make(self, kind: str, **fields: Any) -> Any:
         return self._store.types[kind](**fields)
+
+    def finish(self, now: int, monitors: Mapping[str, Monitor]) -> None:
+        """Nothing is known only at the end."""
 
     def close(self) -> None:
         self._writer.close()

@@ -29,14 +29,14 @@ from servobus.tools.dump.text_format import noise_words
 from servobus.tools.dump.text_format import packet_name
 from servobus.tools.dump.text_format import request_words
 
-WIDE = 110                         # columns, from which on there is room for bus and joint
+WIDE_MIN_COLUMNS = 110             # columns, from which on there is room for bus and joint
 RED, GREEN, YELLOW, CYAN, DIM, BOLD = '31', '32', '33', '36', '2', '1'
 TIMES = ('start', 'clock', 'epoch')
 _CUT = '..'
 
 
-def paint(text: str, colour: str) -> str:
-    return f'\033[{colour}m{text}\033[m'
+def paint(text: str, colour: str | None) -> str:
+    return text if colour is None else f'\033[{colour}m{text}\033[m'
 
 
 def fit(text: str, width: int) -> str:
@@ -65,7 +65,7 @@ class Lines:
              identity: PingAnswer | None) -> str:
         """Return the line of an entry; stamp in ns, as the time is to be shown."""
         mark, colour, number, name, words = _shown(entry, parts, identity)
-        is_wide = self.width is None or self.width >= WIDE
+        is_wide = self.width is None or self.width >= WIDE_MIN_COLUMNS
         model = _model(entry.device, is_wide)
         self._model_width = max(self._model_width, len(model))
         front = [self._time(stamp), f'{self._delta(stamp):>7}']

@@ -14,44 +14,34 @@ from contextlib import contextmanager
 from contextlib import suppress
 from functools import partial
 import json
-import os
 import sys
 import time
-from typing import BinaryIO
 
 from msg_defs.event import Chunk
 from servobus.bus.report import BusReport
 from servobus.doctor.case import OPTIONS
-from servobus.errors import UsageError
 from servobus.monitor import Monitor
 from servobus.plain import on_screen
 from servobus.plain import printable
 from servobus.settings import settings_of
-from servobus.sources.capture import check_new
-from servobus.sources.capture import open_new
-from servobus.sources.capture import Writer
 from servobus.sources.opening import open_source
-from servobus.sources.packet_file import is_packet_file
 from servobus.tools.doctor.no_data import reasons
 from servobus.tools.dump.decode import Interpreter
 from servobus.tools.dump.filter import is_wanted
 from servobus.tools.dump.json import json_line
 from servobus.tools.dump.listing import Entry
 from servobus.tools.dump.listing import Listing
-from servobus.tools.dump.mcap_recording import is_mcap
-from servobus.tools.dump.mcap_recording import McapRecording
 from servobus.tools.dump.packet_lines import Lines
-from servobus.tools.dump.packet_recording import PacketRecording
+from servobus.tools.dump.recordings import open_recording
+from servobus.tools.dump.recordings import PacketRecording
 from servobus.tools.dump.screen import Screen
 from servobus.tools.dump.stats import stats
 from servobus.tools.dump.stats import summary
 from servobus.tools.run import models_of
 
-CAPTURE, PCAPNG, MCAP = FORMATS = ('capture', 'pcapng', 'mcap')
-PAINT_S = 1.0
-PROGRESS_S = 0.5
-SILENT_S = 5.0                     # without a byte: time to say what may be the reason
-LOOK_NS = 1_000_000_000             # between two looks for findings, of a recording
+PAINT_EVERY_S = 1.0
+PROGRESS_EVERY_S = 0.5
+SILENCE_S = 5.0                    # without a byte: time to say what may be the reason
 PAINT_SHARE = 5                    # at most one part in so many of the time goes into painting
 
 
@@ -65,18 +55,9 @@ class Session:
         self._models = models_of(options)
         self._source = open_source('dxl_dump', options.source, options.baud,
                                    options.adapter)
-        self._file = _output(options)
-        self._writer: Writer | None = None
-        self._packets: PacketRecording | None = None
-        if self._file is not None and options.format == PCAPNG:
-            self._packets = PacketRecording(self._file, self._source.wire,
-                                            lambda: self._source.began)
-        self._mcap: McapRecording | None = None
-        if options.write and options.format == MCAP:
-            self._mcap = McapRecording(options.write)
-        self._next_look = 0                    # stamp
+        self._recording = open_recording(self._source, options)
+        self._packets = self._recording if isinstance(self._recording, PacketRecording) else None
         self._monitors: dict[str, Monitor] = {}
-        self._listings: dict[str, Listing] = {}
         self._screen = Screen(sys.stdout, options.colours)
         self._lines: Lines | None = None
         self._shown = 0
@@ -84,74 +65,62 @@ class Session:
         self._first: int | None = None
         self._last = 0
         self._started_s = self._next_paint_s = time.monotonic()
-        self._next_progress_s = self._started_s + PROGRESS_S
+        self._next_progress_s = self._started_s + PROGRESS_EVERY_S
         self._has_progress = False
-        self._is_silence_told = False
+        self._is_silence_printed = False
 
     def __enter__(self) -> Session:
         return self
 
     def __exit__(self, kind: object, *_: object) -> None:
         self._source.close()
-        for output in (self._mcap, self._file):
+        if self._recording is not None:
             with suppress(OSError) if kind is not None else self._naming_the_file():
-                if output is not None:
-                    output.close()
+                self._recording.close()
 
     def run(self) -> None:
         """Run to the end of the source, the limits that were set, or Ctrl-C."""
         try:
             for chunk in self._source.chunks():
                 if chunk is not None:
-                    self._take(chunk)
+                    self._feed_chunk(chunk)
                 if self._is_over():
                     break
                 self._paint()
-                self._tell_silence()
+                self._print_silence()
         except KeyboardInterrupt:
             pass
         self._finish()
 
-    def _take(self, chunk: Chunk) -> None:
+    def _feed_chunk(self, chunk: Chunk) -> None:
         if self._first is None:
             self._first = chunk.stamp
         self._last = chunk.stamp
         self._bytes += len(chunk.data)
-        if self._file is not None and self._packets is None:
-            self._record(self._file, chunk)
         monitor = self._monitors.get(chunk.bus) or self._new_monitor(chunk.bus)
-        monitor.take(chunk)
-        if chunk.change is not None and self._packets is not None:
-            self._packets.change(chunk.bus, chunk.change, chunk.stamp,
-                                 self._listings[chunk.bus])
-        if self._packets is not None:
-            self._record_packets(self._packets, chunk.stamp)
-        if self._mcap is not None:
+        monitor.feed_chunks([chunk])
+        if self._recording is not None:
             with self._naming_the_file():
-                self._mcap.pass_time(chunk.stamp, self._source.began, self._monitors,
-                                     self._source.wire)
+                self._recording.record_chunk(chunk, self._monitors)
         if self._source.is_live and self._lists:
             sys.stdout.flush()
 
     def _new_monitor(self, bus: str) -> Monitor:
         settings = settings_of(bus, self._source.wire(bus), self._options.devices,
                                self._options.protocol)
-        shown = printable(bus)
         listing = None
         if self._lists or self._packets is not None:
             listing = Listing(self._models, lambda entry: show(entry), settings,
                               self._source.is_timed, is_plain=not self._lists)
-            show = partial(self._entry, bus, Interpreter(listing))
-            self._listings[bus] = listing
-        monitor = Monitor(shown, self._models, settings, decoder=listing,
-                          names=OPTIONS)
-        self._monitors[bus] = monitor
+            show = partial(self._accept_entry, bus, Interpreter(listing))
+        self._monitors[bus] = monitor = Monitor(printable(bus), self._models, settings,
+                                                decoder=listing, names=OPTIONS)
         return monitor
 
-    def _entry(self, bus: str, interpreter: Interpreter, entry: Entry) -> None:
+    def _accept_entry(self, bus: str, interpreter: Interpreter, entry: Entry) -> None:
         if self._packets is not None:
             try:                       # no context manager: this is for each packet
-                self._packets.take(bus, entry)
+                self._packets.record_entry(bus, entry)
             except OSError as error:
                 raise self._named(error) from error
         if self._lists:
@@ -193,35 +162,15 @@ class Session:
             return time.monotonic() - self._started_s >= limit_s
         return self._first is not None and self._last - self._first >= 1e9 * limit_s
 
-    def _tell_silence(self) -> None:
+    def _print_silence(self) -> None:
         """Say once why nothing is shown: a port that is silent looks like a program that hangs."""
-        if self._is_silence_told or self._bytes or not self._source.is_live \
-                or time.monotonic() - self._started_s < SILENT_S:
+        if self._is_silence_printed or self._bytes or not self._source.is_live \
+                or time.monotonic() - self._started_s < SILENCE_S:
             return
-        self._is_silence_told = True
+        self._is_silence_printed = True
         why = ''.join(f'\n  {reason}' for reason in reasons(self._options.source, is_live=True))
-        print(f'dxl_dump: {self._options.source}: no byte in {SILENT_S:g} s, still listening.'
+        print(f'dxl_dump: {self._options.source}: no byte in {SILENCE_S:g} s, still listening.'
               f'{why}', file=sys.stderr)
-
-    # --- recording -------------------------------------------------------------------------
-
-    def _record(self, file: BinaryIO, chunk: Chunk) -> None:
-        with self._naming_the_file():
-            if self._writer is None:
-                self._writer = Writer(file, self._source.began)
-            self._writer.take(self._source.wire(chunk.bus), chunk)
-            if self._source.is_live:
-                file.flush()
-
-    def _record_packets(self, packets: PacketRecording, stamp: int) -> None:
-        """Write what is known now; once a second, ask for findings."""
-        if stamp >= self._next_look:
-            self._next_look = stamp + LOOK_NS
-            for bus, monitor in self._monitors.items():
-                packets.look(bus, monitor.report(stamp))
-        if self._source.is_live and self._file is not None:
-            with self._naming_the_file():
-                self._file.flush()
 
     @contextmanager
     def _naming_the_file(self) -> Iterator[None]:
@@ -247,7 +196,7 @@ class Session:
         elif self._source.is_live and now_s >= self._next_paint_s:
             self._paint_screen(self._reports(time.monotonic_ns()))
             cost_s = time.monotonic() - now_s
-            self._next_paint_s = now_s + max(PAINT_S, PAINT_SHARE * cost_s)
+            self._next_paint_s = now_s + max(PAINT_EVERY_S, PAINT_SHARE * cost_s)
 
     def _paint_screen(self, reports: list[BusReport], is_last: bool = False) -> None:
         self._screen.paint(stats(reports, self._screen.width, self._options.colours,
@@ -258,7 +207,7 @@ class Session:
         if now_s < self._next_progress_s or not sys.stderr.isatty() or (
                 self._lists and self._screen.is_terminal):
             return
-        self._next_progress_s = now_s + PROGRESS_S
+        self._next_progress_s = now_s + PROGRESS_EVERY_S
         total = self._source.total
         text = f'{100 * self._source.position() // total} % of {total / 1e6:.0f} MB' if total \
             else f'{now_s - self._started_s:.0f} s, {self._bytes} bytes; Ctrl-C ends'
@@ -274,22 +223,22 @@ class Session:
             for monitor in self._monitors.values():
                 monitor.end(now)
         reports = self._reports(now)
-        if self._packets is not None:
+        if self._recording is not None:
             with self._naming_the_file():
-                self._packets.finish(self._listings, now)
+                self._recording.finish(now, self._monitors)
         if self._options.stats:
             self._paint_screen(reports, is_last=True)
         if self._options.summary:
             print(json.dumps(summary(reports)))
         sys.stdout.flush()
-        if self._file is not None and self._bytes and sys.stderr.isatty():
+        if self._recording is not None and self._bytes and sys.stderr.isatty():
             print(f'dxl_dump: recorded {self._bytes} bytes of the bus to {self._options.write}',
                   file=sys.stderr)
-        for problem in [*self._doubts(reports), *self._source.problems(),
+        for problem in [*self._no_packet(reports), *self._source.problems(),
                         *self._models.problems]:
             print(f'dxl_dump: {printable(problem)}', file=sys.stderr)
 
-    def _doubts(self, reports: list[BusReport]) -> list[str]:
+    def _no_packet(self, reports: list[BusReport]) -> list[str]:
         """Ask about bytes without a single packet: of no bus, or heard at another rate."""
         if not self._bytes or any(report.counters['Packets'] for report in reports):
             return []
@@ -298,24 +247,3 @@ class Session:
             question = (f'check that it is a servo bus at {reports[0].baud} baud; --baud sets '
                         'another rate') if reports[0].baud else 'check that it is a servo bus'
         return [f'{self._options.source}: {self._bytes} bytes, but no packet; {question}']
-
-
-def _output(options: argparse.Namespace) -> BinaryIO | None:
-    """Open the capture to write; checked before anything is read."""
-    if options.write != '-':
-        if options.write and os.path.exists(options.write) \
-                and os.path.exists(options.source) \
-                and os.path.samefile(options.write, options.source):
-            raise UsageError(f'{options.write}: is also the source, and writing would destroy it; '
-                             'give another file name')
-        if options.write and options.format == MCAP:
-            check_new(options.write, is_mcap)
-            return None
-        is_ours = is_packet_file if options.format == PCAPNG else None
-        return open_new(options.write, is_ours=is_ours) if options.write else None
-    if options.format == MCAP:
-        raise UsageError('-w - --format mcap: needs a file name')
-    if options.json or options.summary or options.stats:
-        raise UsageError('-w -: the capture goes to stdout, so nothing else can be shown; give a '
-                         'file name')
-    return open(sys.stdout.fileno(), 'wb', closefd=False)

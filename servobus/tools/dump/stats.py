@@ -24,7 +24,7 @@ from servobus.tools.dump.text_format import error_words
 
 WINDOW_S = 10.0
 UNTIMED = 'these bytes have no times: rates assume that they were sent without a pause'
-REFUSALS_SHOWN = 8
+REFUSALS_MAX = 8
 _COUNTERS = {
     'bytes': 'Bytes', 'packets': 'Packets', 'repaired': 'Repaired Packets',
     'crc_errors': 'CRC Errors', 'truncated': 'Truncated Packets', 'bad_length': 'Bad Lengths',
@@ -55,8 +55,7 @@ def stats(reports: Sequence[BusReport], width: int, colours: bool, is_timed: boo
             line = _device(report, device)
             more = f'{line:76} {device.joint}'.rstrip()
             line = fit(more if len(more) <= width else line, width)
-            colour = COLOURS.get(device.level) if colours else None
-            lines.append(line if colour is None else paint(line, colour))
+            lines.append(paint(line, COLOURS.get(device.level) if colours else None))
         lines += _wrapped(_remarks(report), width)
     return lines
 
@@ -98,7 +97,7 @@ def _remarks(report: BusReport) -> list[str]:
     """Return what devices refused to do, the most frequent first; errors; what the cause is."""
     found = sorted(((count, device, key) for device in report.devices
                     for key, count in device.errors.items()),
-                   key=lambda one: -one[0])[:REFUSALS_SHOWN]
+                   key=lambda one: -one[0])[:REFUSALS_MAX]
     lines = [f'{device.id:03} refused {count} x {name_of(instruction)}'
              f'{f" at {address}" if address >= 0 else ""}: {error_words(error)}'
              for count, device, (instruction, address, error) in found]

@@ -82,7 +82,7 @@ def answer_words(entry: Entry, parts: Sequence[Part], identity: PingAnswer | Non
     packet = entry.packet
     if packet is None:
         return ''
-    words = [text_of(note) for note in entry.notes]
+    words = [text_of(incident) for incident in entry.notes]
     if packet.error and not entry.blocks:
         words.append(error_words(packet.error))
     if identity is not None:
@@ -128,11 +128,12 @@ def _grouped(parts: Sequence[Part], with_ids: bool) -> str:
     for _, group in groupby(parts, key=lambda part: (
             part.model, part.address, part.length, part.fields, part.data is None, part.error)):
         same = list(group)
-        words.append(_asked(same, with_ids) if same[0].data is None else _told(same, with_ids))
+        show = _fields_asked if same[0].data is None else _values_shown
+        words.append(show(same, with_ids))
     return '; '.join(words)
 
 
-def _asked(parts: Sequence[Part], with_ids: bool) -> str:
+def _fields_asked(parts: Sequence[Part], with_ids: bool) -> str:
     one = parts[0]
     front = ', '.join(spans(part.id for part in parts)) + ': ' if with_ids else ''
     place = f'{one.length} at {one.address}'
@@ -142,7 +143,7 @@ def _asked(parts: Sequence[Part], with_ids: bool) -> str:
     return f'{front}{first if first == last else f"{first} .. {last}"} ({place})'
 
 
-def _told(parts: Sequence[Part], with_ids: bool) -> str:
+def _values_shown(parts: Sequence[Part], with_ids: bool) -> str:
     one = parts[0]
     if len(parts) > 1 and len(one.fields) == 1 and not one.error:
         values = ', '.join(f'{part.id}: {part.values[0].text}' for part in parts)

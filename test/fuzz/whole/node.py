@@ -28,6 +28,7 @@ from mecarover_dashboard.history_recorder import HistorySampler
 from mecarover_dashboard.metrics import exposition
 from mecarover_dashboard.state import State
 from mecarover_dashboard.state import TOPICS
+from msg_defs.event import Chunk
 from servobus import monitor
 from servobus import monitored_bus
 from servobus.model.models import Models
@@ -69,12 +70,7 @@ class FedListener(Listener):
             os.close(self._wake_write)
 
     def hear(self, one, stamp):
-        if one.change is not None:
-            self._on_change(one.change, stamp)
-        elif one.side:
-            self._hear_pieces([(one.data, stamp, one.side)])
-        else:
-            self._hear(one.data, stamp)
+        self._deliver(Chunk(stamp, self._bus, one.data, one.side, one.change))
 
 
 class Dashboard:
@@ -176,7 +172,7 @@ def through_node(case, folder):
             for part in (pause // 3, pause - pause // 3) if pause > 100_000_000 else ():
                 clock.now += part
                 for bus in node._buses:
-                    bus.listener._idle(clock.now)
+                    bus.listener._report_idle(clock.now)
                 node._timers.turn(clock.now / 1e9)
                 page.look(clock.now / 1e9)
             if one is not None:

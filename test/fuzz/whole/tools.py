@@ -117,7 +117,8 @@ def run_dump(case, path, chance):
 
 def run_doctor(case, path, chance):
     options = chance.choice(([], ['--json'], ['--report', f'{path}.report']))
-    with patch.object(error_window, 'SIZE_LIMIT', chance.choice((100, error_window.SIZE_LIMIT))):
+    sizes = 100, error_window.WINDOW_MAX_BYTES
+    with patch.object(error_window, 'WINDOW_MAX_BYTES', chance.choice(sizes)):
         code, out = tool(doctor, case, path, options, chance)
     if '--json' in options and out:
         json.loads(out)
