@@ -128,22 +128,27 @@ class Monitor:
 
     def feed_pieces(self, pieces: Sequence[tuple[bytes, int, str]]) -> None:
         """Take what one read brought, in pieces with a stamp and a side each, as feed() does."""
-        said, clock, stamp = self.decoder, self._clock, 0
+        said, clock = self.decoder, self._clock
+        stamp = 0
         with self._lock:
             began = clock()
-            before, fed = self._last, self._fed
+            before = self._last
+            fed = self._fed
             spent, between, sizes = self._series
             for chunk, stamp, side in pieces:
+                size = len(chunk)
                 if self._idle_is_told:
                     self._listen_until(stamp)
                 else:
-                    on_wire_ns = 0 if side == OUT else int(len(chunk) * said.byte_ns)
+                    on_wire_ns = 0 if side == OUT else int(size * said.byte_ns)
                     self._flush_if_idle(stamp - on_wire_ns)
                 try:
                     said.hear(chunk, stamp, side)
                 except Exception as mistake:
                     self._go_on(mistake)
-                self._fed += len(chunk)
+                if self._registry.new_ids:
+                    self.signals.attach_new()
+                self._fed += size
                 if stamp >= self._next_tick:
                     self._tick(stamp)
                 self._last = stamp
@@ -179,7 +184,7 @@ class Monitor:
         self.change(Change(CLOSED, 1), now)
         with self._lock:
             self._failed, self._users = failed, tuple(users)
-            self._tracker.unread.end(now, bool(failed), self.decoder.byte_ns)
+            self._tracker.unread.judge_last(now, bool(failed), self.decoder.byte_ns)
 
     def alarms(self) -> int:
         """Return how often so far a device was lost, came back or had an alert."""
@@ -288,9 +293,8 @@ class Monitor:
         self._listened = now
 
     def _flush_if_idle(self, now: int) -> None:
-        said = self.decoder
-        if self._last and now - self._last > said.idle_ns:
-            self._try(said.pause, self._last, now)
+        if self._last and now - self._last > self.decoder.idle_ns:
+            self._try(self.decoder.pause, self._last, now)
 
     def _try(self, call: Callable[..., None], *arguments: Any) -> None:
         try:

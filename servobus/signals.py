@@ -33,7 +33,6 @@ class BusSignals:
         self._lock = lock
         self._chosen: dict[int, dict[str, PointRing]] = {}       # by ID and key
         self._recorders: dict[int, _DeviceSignals] = {}
-        registry.made = self._attach
 
     def read(self, number: int, key: str, after: int, since_s: float) -> Points:
         """Return what was recorded of a register, and record it from now on."""
@@ -57,6 +56,13 @@ class BusSignals:
             if recorder is not None and recorder.device.number == number:
                 recorder.device.table.call(None)
                 self._attach(recorder.device)
+
+    def attach_new(self) -> None:
+        """Record what is chosen of the devices that are new, before more comes from them."""
+        new = self._registry.new_ids
+        for number in new & self._chosen.keys() & self._registry.devices.keys():
+            self._attach(self._registry.devices[number])
+        new.clear()
 
     def _attach(self, device: Device) -> None:
         rings = self._chosen.get(device.number)

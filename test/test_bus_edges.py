@@ -160,11 +160,11 @@ def test_counts_of_a_window_and_their_loss():
 @pytest.mark.parametrize(('after_ns', 'is_late'), [(99_999_999, True), (100_000_000, False)])
 def test_an_answer_is_owed_for_a_tenth_of_a_second(after_ns, is_late):
     device = Device(1)
-    assert not device.pays(0)
+    assert not device.accept_late_reply(0)
     device.miss(5 * S, 5 * S, False)
     device.miss(5 * S, 5 * S + 99_999_999, False)
     assert device.owed == 2
-    assert device.pays(5 * S + 99_999_999 + after_ns) is is_late
+    assert device.accept_late_reply(5 * S + 99_999_999 + after_ns) is is_late
     device.miss(6 * S, 6 * S, True)
     assert device.owed == 0                        # long ago, and this one came damaged
     assert (device.missed_in_a_row, device.counts.missed, device.counts.spoilt) == (3, 3, 1)
@@ -174,11 +174,11 @@ def test_an_answer_is_owed_for_a_tenth_of_a_second(after_ns, is_late):
 def test_an_absence_is_noted_from_50_ms_on(away_ms, is_noted):
     one = registry(Expected(4, 'XL430-W250'))
     device = one.device(4)
-    one.heard(device, 0, S)
+    one.accept_status(device, 0, S)
     device.table.store(64, b'\1', S, READ)
-    one.heard(device, 0, 2 * S)                    # it was not asked: no absence
+    one.accept_status(device, 0, 2 * S)                    # it was not asked: no absence
     device.miss(2 * S, 2 * S, False)
-    one.heard(device, 0, 2 * S + int(away_ms * MS))
+    one.accept_status(device, 0, 2 * S + int(away_ms * MS))
     assert notes(one) == [(ev.RETURNED, 4, ev.SilentFor(50, 1, 1))] * is_noted
     assert device.missed_in_a_row == 0
 
@@ -202,17 +202,17 @@ def test_an_id_that_no_device_can_have_gets_none():
 
 def test_who_says_the_same_of_himself_again_stays_who_he_is():
     one = registry()
-    changes = []
-    one.changed = lambda: changes.append(1)
-    device = one.device(4)
+    device, outdated = one.device(4), []
     for data in (b'\x24\x04\x2e', b'\x24\x04\x2e'):
         device.pinged(NO_SPAN, data, S, READ)
         one.resolve(device)
-    assert (device.counts.pongs, len(changes), device.firmware) == (2, 1, 0x2e)
+        outdated.append(not one.plans_hold)
+        one.plans_hold = True
+    assert (device.counts.pongs, outdated, device.firmware) == (2, [True, False], 0x2e)
     device.table.store(132, bytes(4), S, READ)
     device.pinged(NO_SPAN, b'\x24\x04\x2f', S, READ)                # new firmware
     one.resolve(device)
-    assert (len(changes), device.firmware, notes(one)) == (2, 0x2f, [])
+    assert (one.plans_hold, device.firmware, notes(one)) == (False, 0x2f, [])
     assert device.table.byte(132) == 0
     device.pinged(NO_SPAN, b'\x37\x01\x2f', S, READ)                # another servo
     one.resolve(device)
@@ -340,7 +340,7 @@ def test_who_had_its_turn(silent, spoke, expected):
 
 def test_plans_are_counted_and_forgotten_without_losing_counts():
     one = registry()
-    planner = Planner(one, one._evidence, lambda *_: None)
+    planner = Planner(one, one._evidence)
     read = (INSTRUCTION_2, 3, int(I.READ), b'\x84\0\4\0')
     plan = planner.plan_for(read, S)
     assert planner.plan_for(read, S) is plan
@@ -359,7 +359,7 @@ def test_plans_are_counted_and_forgotten_without_losing_counts():
 
 def test_an_answer_is_looked_for_in_the_first_64_plans():
     one = registry()
-    planner = Planner(one, one._evidence, lambda *_: None)
+    planner = Planner(one, one._evidence)
     for number in range(65):
         planner.plan_for((INSTRUCTION_2, number, int(I.READ), b'\x84\0\4\0'), S)
     assert [planner.has_answer(number, 4) for number in (0, 63, 64)] == [True, True, False]
@@ -367,7 +367,7 @@ def test_an_answer_is_looked_for_in_the_first_64_plans():
 
 def test_64_lists_of_sync_writes_are_kept():
     one = registry()
-    planner = Planner(one, one._evidence, lambda *_: None)
+    planner = Planner(one, one._evidence)
     for number, kept in ((62, 63), (63, 64), (63, 64), (64, 1)):
         for other in range(63 if number == 62 else 0):
             planner._sync_write(b'\x74\0\1\0' + bytes([other, 7]), S)

@@ -45,9 +45,7 @@ from servobus.bus.expected import Expected
 from servobus.bus.registry import DeviceRegistry
 from servobus.bus.report import CycleTimes
 from servobus.bus.report import PROTOCOL_2
-from servobus.bus.report import Wait
 from servobus.bus.tracker import Tracker
-from servobus.bus.unread import AT_ONCE_NS
 from servobus.model.models import Models
 
 PROTOCOLS = ('auto', '2', '1', 'feetech')
@@ -92,7 +90,8 @@ class BusDecoder:
         self.detector = Detector() if settings.protocol == 'auto' else None
         self.classifier = None if settings.protocol == '2' else Dxl1Classifier(
             self.registry, self.evidence, self.choice, self.detector, self.byte_ns)
-        self.framers = {UNKNOWN: self._new_framer(UNKNOWN)}     # by the side that they hear
+        self.framers: dict[str, AnyFramer] = {}        # by the side that they hear
+        self._new_framer(UNKNOWN)
         self.tracker = Tracker(self.registry, self.evidence, self.byte_ns, settings.missed_limit,
                                settings.write_acks)
         self.expect_delay(settings.latency_timer_ms)
@@ -105,9 +104,13 @@ class BusDecoder:
             self.classifier.slow_ns = SLOW_NS + int(1e6 * latency_timer_ms)
 
     def _new_framer(self, side: str) -> AnyFramer:
+        framer: AnyFramer = dxl1_packet.Dxl1Framer()
         if self.detector is not None:
-            return MixedFramer(self.detector, bool(side), side)
-        return Framer() if self.classifier is None else dxl1_packet.Dxl1Framer()
+            framer = MixedFramer(self.detector, bool(side), side)
+        elif self.classifier is None:
+            framer = Framer()
+        self.framers[side] = framer
+        return framer
 
     def hear(self, chunk: bytes, stamp: int, side: str = UNKNOWN) -> None:
         """
@@ -115,15 +118,13 @@ class BusDecoder:
 
         stamp: when its last byte had come in; of the side OUT, when it was written.
         """
-        framer = self.framers.get(side)
-        if framer is None:
-            framer = self.framers[side] = self._new_framer(side)
+        framer = self.framers.get(side) or self._new_framer(side)
         if side:
             wire_ns = len(chunk) * self.byte_ns
             if side == OUT:
                 self._turn(stamp)
                 self.echo.send(chunk)
-                awaited, wait = self.tracker.slots, self._last_wait()
+                awaited, waited = self.tracker.slots, self.evidence.waited
                 stamp += int(wire_ns)
             else:
                 self.echo.hear(chunk)
@@ -135,14 +136,11 @@ class BusDecoder:
             self._read(framer, frames, stamp, side)
         else:
             self.take(frames, stamp, framer.bytes, side)
-        if side == OUT:
+        if side and side == OUT:               # most chunks have no side
             began = stamp - int(wire_ns)
-            self.clock.write(began, wire_ns, awaited, self._last_wait() is not wait)
+            self.clock.write(began, wire_ns, awaited, self.evidence.waited != waited)
             if self.tracker.asked == stamp:
                 self.clock.ask(self.tracker.pending, began, wire_ns)
-
-    def _last_wait(self) -> Wait | None:
-        return self.evidence.waits[-1] if self.evidence.waits else None
 
     def _turn(self, stamp: int) -> None:
         """Decide an answer that stopped on its way, before what the master says next is taken."""
@@ -153,9 +151,9 @@ class BusDecoder:
         if framer.pending and (stamp - self._last_in > self.idle_ns or came >= plan.answers_size):
             self._flush(IN, framer, self._last_in)
         self._note_noise(framer)
-        self.tracker.unread.end_answer(plan, came, framer.noise_length > 0)
+        self.tracker.unread.count_overlong_reply(plan, came, framer.noise_length > 0)
         self.tracker.quiet_from = framer.bytes - framer.pending
-        self.tracker.unread.expire(stamp, self.byte_ns)
+        self.tracker.unread.judge_expired(stamp, self.byte_ns)
 
     def _note_noise(self, framer: AnyFramer) -> None:
         """Take note of what the master received that is no packet, before it goes on."""
@@ -196,7 +194,7 @@ class BusDecoder:
                 if framer.pending:
                     self._flush(side, framer, last)
             self._settle()
-            if not self.tracker.unread.stamp:          # else the program may not have read it
+            if not self.tracker.unread.reported_ns:    # else the program may not have read it
                 self.tracker.settle(now)
         elif now - last > self.idle_ns:
             self._settle()
@@ -220,40 +218,36 @@ class BusDecoder:
             self.tracker.not_sent(stamp)
         elif what == UNREAD:
             received = self.framers[IN].bytes if IN in self.framers else 0
-            self.tracker.unread.say(value, received, stamp)
+            self.tracker.unread.report_waiting(value, received, stamp)
             self.echo.wait(value)
         elif what == PURGED:
             if value & 1:
                 self._purge(stamp)
-            if value & 2 and stamp < self.tracker.asked + AT_ONCE_NS:
-                self.tracker.unread.unsent = self.tracker.asked
+            if value & 2:
+                self.tracker.unread.report_unsent(self.tracker.asked, stamp)
         elif what == GAVE_UP:
-            self.tracker.unread.look(stamp - 1000 * value)
+            self.tracker.unread.report_vain_read(stamp - 1000 * value)
         elif what == AWAY:
             self.tracker.look_away(value, stamp)
         elif what in (CLOSED, GONE, LOST):
             self._end(stamp, value if what == LOST else 0)
 
     def _purge(self, stamp: int) -> None:
-        """Take note that the program threw away what waited."""
-        tracker = self.tracker
-        self._leave(stamp)
-        tracker.unread.purge(tracker.pending, tracker.slots, tracker.asked, tracker.quiet_from,
-                             stamp)
+        """Note that the program discarded what waited."""
+        self._discard_unread(stamp)
+        self.tracker.accept_purge(stamp)
 
-    def _leave(self, stamp: int) -> None:
-        """Take note that the program does not read what waits: an answer may have lost its end."""
+    def _discard_unread(self, stamp: int) -> None:
+        """Note that the program does not read what waits: an answer may have lost its end."""
         unread, framer = self.tracker.unread, self.framers.get(IN)
         self.echo.drop(unread.waiting, bool(self.tracker.slots))
-        unread.dropped += unread.waiting
+        unread.discarded += unread.waiting
         if unread.waiting and framer is not None and framer.pending:
-            until, unread.until = unread.until, 0
             self._flush(IN, framer, stamp)
-            unread.until = until
 
     def _end(self, stamp: int, lost: int = 0) -> None:
         """Take what is left as whole; what comes now has nothing to do with it."""
-        self._leave(stamp)
+        self._discard_unread(stamp)
         for side, framer in self.framers.items():
             self._flush(side, framer, stamp)
         self._settle()

@@ -34,7 +34,7 @@ from servobus.model.layout import Use
 
 WINDOW_S = 10
 RESOLVED_NEEDED = 0.2              # the share of answers that makes a latency worth a figure
-OWED_NS = 100_000_000              # no servo takes as long: its Return Delay Time ends at 0.5 ms
+LATE_REPLY_NS = 100_000_000        # no servo takes as long: its Return Delay Time ends at 0.5 ms
 _ERRORS_KEPT = 64                  # distinct (instruction, address, error)
 RETURN_LEVEL = 'Status Return Level'
 OFFSET = 'Homing Offset'
@@ -58,12 +58,13 @@ class Device:
     | dialect | DeviceRegistry.speaks(): that of the 1.0 family; None with Protocol 2.0 |
     | identity, identity_stamp, is_unresolved | identify(): what it said it is, as bytes; the \
     model of that was not looked up yet |
-    | return_level, acks, acks_missing | set_return_level(), acknowledged(), ReplyPolicy; acks: \
+    | return_level, acks, acks_missing | set_return_level(), accept_ack(), ReplyPolicy; acks: \
     whether it acknowledges writes, None while unknown |
     | heard, alert, is_unusual, missed_in_a_row | DeviceRegistry.heard(), Tracker, miss(); \
     is_unusual: it was away or had an error, so its next answer needs more than storing |
-    | asked_stamp, owed, waiting_behind | miss(), not_served(), pays(); owed: answers that the \
-    master gave up lately; waiting_behind: the silent device in front of it in a group read |
+    | asked_stamp, owed, waiting_behind | miss(), not_served(), accept_late_reply(); owed: \
+    answers that the master gave up lately; waiting_behind: the silent device in front of it in \
+    a group read |
     | error_bits | DeviceRegistry.told_error() |
     | last_error, asked_first, latency, latency_resolved | Tracker, with an answer |
     | registered, moved_to | DeviceRegistry: a Reg Write before its Action; the baud rate that \
@@ -102,7 +103,7 @@ class Device:
         self.heard = 0                             # stamp of the last status, 0 = never
         self.asked_stamp = 0                       # when it last did not answer
         self.owed = 0
-        self._given_up = -OWED_NS           # when an answer was last given up
+        self._given_up = -LATE_REPLY_NS           # when an answer was last given up
         self.is_unusual = True
         self.forget_return_level()
         self.reset_statistics()
@@ -197,10 +198,11 @@ class Device:
         self.acks = level == 2
         self.acks_missing = 0
 
-    def acknowledged(self) -> None:
-        """Note that it answered a write."""
+    def accept_ack(self, *_: object) -> bool:
+        """Note that it answered a write; return that, as plan.Take."""
         self.acks = True
         self.acks_missing = 0
+        return True
 
     def miss(self, now: int, stamp: int, doubtful: bool) -> None:
         """Count an answer that did not come, or perhaps came damaged; stamp: of the chunk."""
@@ -220,9 +222,9 @@ class Device:
         self.waiting_behind = blocker
         self.is_unusual = True
 
-    def pays(self, stamp: int, patience_ns: int = OWED_NS) -> bool:
+    def accept_late_reply(self, stamp: int, late_ns: int = LATE_REPLY_NS) -> bool:
         """Take an answer that is not due: whether one that was given up lately is still owed."""
-        if not self.owed or stamp - self._given_up >= patience_ns:
+        if not self.owed or stamp - self._given_up >= late_ns:
             return False
         self.owed -= 1
         return True
@@ -233,7 +235,7 @@ class Device:
 
     def _owe(self, stamp: int, answers: int = 1) -> None:
         # Stamps of chunks: the time on the wire is only as good as the chunk is short.
-        self.owed = (self.owed if stamp - self._given_up < OWED_NS else 0) + answers
+        self.owed = (self.owed if stamp - self._given_up < LATE_REPLY_NS else 0) + answers
         self._given_up = stamp
 
     def note_error(self, instruction: int, address: int, error: int) -> None:

@@ -32,7 +32,8 @@ class EchoCounter:
 
     def hear(self, chunk: bytes) -> None:
         """Look for what the master sent in what it receives."""
-        self.wait(len(chunk))
+        if self._is_last:
+            self.wait(len(chunk))
         if self._sent:
             self._came = (self._came + chunk)[-MUCH:]
         while self._sent and (at := self._came.find(self._sent[0])) >= 0:

@@ -204,7 +204,7 @@ class Evidence:
         self.waits: deque[Wait] = deque(maxlen=_WAITS_KEPT)
         self.counts: Counter[str] = Counter()          # by kind, since start
         self._kept: dict[str, int] = {}                # stamp of the last that note_often() kept
-        self.noted = 0                                 # incidents so far
+        self.noted = self.waited = 0                   # incidents and waits so far
 
     def note(self, stamp: int, kind: IncidentKind[D], device: int, detail: D) -> None:
         incident = Incident(stamp, kind, device, detail)
@@ -213,6 +213,10 @@ class Evidence:
         self.noted += 1
         if kind in _TEXTS:
             self._errors.append(incident)
+
+    def add_wait(self, wait: Wait) -> None:
+        self.waits.append(wait)
+        self.waited += 1
 
     def note_often(self, stamp: int, kind: IncidentKind[D], device: int, detail: D) -> None:
         """Note what may come with each packet: counted each time, kept once in a while."""

@@ -24,8 +24,9 @@ from servobus.bus.device import Device
 from servobus.bus.evidence import UNKNOWN_INSTRUCTION
 from servobus.bus.table import Span
 
-# What takes an answer in: address and size, data, stamp, source (as Table.keep).
-Take = Callable[[Span, bytes, int, int], object]
+# What takes an answer in: address and size, data, stamp, source (as Table.keep); returns True
+# where the answer accepts what the instruction wrote.
+Take = Callable[[Span, bytes, int, int], bool | None]
 # What an instruction does to a device, and with which arguments: the device, more, the stamp.
 Action = Callable[..., None]
 Effect = tuple[Action, tuple[Any, ...]]

@@ -61,19 +61,16 @@ Target = tuple[Device, Take, bool]
 
 
 class Planner:
-    """The plans of one bus. on_ack: called with the device and its status when it acknowledges."""
+    """The plans of one bus."""
 
-    def __init__(self, registry: DeviceRegistry, evidence: Evidence,
-                 on_ack: Callable[..., object]) -> None:
+    def __init__(self, registry: DeviceRegistry, evidence: Evidence) -> None:
         self._registry = registry
         self._evidence = evidence
-        self._on_ack = on_ack
         self.known: dict[Key, Plan] = {}
         self._size = 0                 # size of all plans, in slots
         # Of a Sync Write, by address, size and IDs.
         self._targets: dict[bytes, tuple[list[Target], Struct]] = {}
         self._retired = 0              # instructions of forgotten plans
-        registry.changed = self.forget_plans
         self._actions: dict[int, Action] = {
             Instruction.WRITE: registry.write,
             Instruction.SYNC_WRITE: registry.write,
@@ -109,7 +106,7 @@ class Planner:
             if plan.request.malformed:
                 key = said             # another with this front may well make sense
             size = plan.size + (4 + len(key[3])) // BYTES_PER_SLOT
-            if self._size + size > SLOTS_KEPT:
+            if self._size + size > SLOTS_KEPT or not self._registry.plans_hold:
                 self.forget_plans()
             self._size += size
             self.known[key] = plan
@@ -124,6 +121,8 @@ class Planner:
 
     def plans(self) -> list[Plan]:
         """Return the plans in use, with what is counted of them elsewhere brought up to date."""
+        if not self._registry.plans_hold:
+            self.forget_plans()
         for plan in self.known.values():
             self._count(plan)
         return list(self.known.values())
@@ -138,7 +137,8 @@ class Planner:
         return self._retired + sum(plan.asked for plan in self.known.values())
 
     def forget_plans(self) -> None:
-        """Begin again: there are too many, or a device has another ID or model now."""
+        """Begin again: there are too many plans, or they are outdated."""
+        self._registry.plans_hold = True
         self.plans()
         self._retired = self.instructions()
         self.known.clear()
@@ -209,7 +209,7 @@ class Planner:
     def _ack_slots(self, request: Request) -> list[Slot]:
         device = self._registry.device(request.id)
         address = request.accesses[0].address if request.accesses else -1
-        return [Slot(device, Due.ACK, address, 0, partial(self._on_ack, device))]
+        return [Slot(device, Due.ACK, address, 0, device.accept_ack)]
 
     def _beginner(self, request: Request) -> Begin | None:
         """Return what a repetition of this instruction starts, None for one that only asks."""

@@ -7,7 +7,6 @@ It does not ask whether an answer belongs to an instruction: that is the tracker
 devices; an ID is a key here and may change, a Device is the thing that answers to it.
 """
 
-from collections.abc import Callable
 from collections.abc import Iterable
 
 from msg_defs.dxl1_instruction import Dialect
@@ -58,8 +57,8 @@ class DeviceRegistry:
     """
     The devices, by the ID they answer to. baud: the rate of this bus.
 
-    changed: called when a device has another ID or model, so that plans made before do not hold.
-    made: called with a device that is new.
+    plans_hold: False once a device has another ID or model: plans made before are no longer right.
+    new_ids: of devices that were made since somebody cleared it.
     """
 
     def __init__(self, models: Models, expected: Iterable[Expected], baud: int,
@@ -73,8 +72,8 @@ class DeviceRegistry:
         self.highest = MAX_ID              # the largest ID that a device can have here
         self._renamed: dict[int, int] = {}     # IDs that were changed: the new ones
         self._dummy = Device(NO_ID)        # takes what is sent to an ID that no device can have
-        self.changed: Callable[[], None] = lambda: None
-        self.made: Callable[[Device], object] = lambda device: None
+        self.plans_hold = True
+        self.new_ids: set[int] = set()
         self._followers = {'ID': self.renumber, 'Baud Rate': self._follow_baud,
                            RETURN_LEVEL: lambda device, level, _: device.set_return_level(level),
                            OFFSET: self._follow_offset, TORQUE: self._follow_torque}
@@ -94,7 +93,7 @@ class DeviceRegistry:
             if number > self.highest:
                 return self._dummy
             device = self.devices[number] = Device(number)
-            self.made(device)
+            self.new_ids.add(number)
             if number in self._renamed:
                 device.moved_to = f'{NEW_ID}{self._renamed[number]:03}'
         return device
@@ -107,7 +106,7 @@ class DeviceRegistry:
             return str(address)
         return device.table.in_force(field, device.model).name
 
-    def heard(self, device: Device, error: int, stamp: int) -> None:
+    def accept_status(self, device: Device, error: int, stamp: int) -> None:
         """Take any status as a sign of life; error is its error byte, alert bit included."""
         if device.missed_in_a_row:
             silence_ms = (stamp - device.heard) // 1_000_000
@@ -163,7 +162,7 @@ class DeviceRegistry:
         device.model_number = number
         device.firmware = firmware
         device.become(self._models.get(key, firmware) or UNKNOWN)
-        self.changed()
+        self.plans_hold = False
         device.table.store(device.identity_at, device.identity[:2], stamp, READ)
         field = device.model.by_name.get('Firmware Version')
         if firmware is not None and field is not None and field.size == 1:
@@ -199,7 +198,7 @@ class DeviceRegistry:
         for device in self.devices.values():
             if device.dialect is not None:
                 self.speaks(device)
-        self.changed()
+        self.plans_hold = False
 
     def speaks(self, device: Device) -> None:
         """Say that a device speaks the dialect of this bus, and look who it is."""
@@ -364,7 +363,7 @@ class DeviceRegistry:
         self._renamed[device.number] = number
         device.number = number
         self.devices[number] = device
-        self.changed()
+        self.plans_hold = False
 
     def _torque(self, device: Device) -> int:
         """Return the last known Torque Enable, -1 if there is none."""

@@ -69,7 +69,7 @@ class ReplyPolicy:
     def refuse(self, slot: Slot, instruction: int, code: int, stamp: int) -> None:
         """Take note of a refusal, which is an acknowledgement too."""
         if slot.due is Due.ACK:
-            slot.device.acknowledged()
+            slot.device.accept_ack()
         refusal = ev.Refusal(instruction, slot.span[0], code)
         slot.device.note_error(*refusal)
         self._evidence.note(stamp, ev.REFUSED, slot.device.number, refusal)
@@ -82,8 +82,8 @@ class ReplyPolicy:
         """
         plan, due, spoke, is_spoilt, *_ = question
         if us >= 0:
-            self._evidence.waits.append(Wait(now, us, due[0].device.number, is_spoilt,
-                                             plan.request.instruction))
+            self._evidence.add_wait(Wait(now, us, due[0].device.number, is_spoilt,
+                                         plan.request.instruction))
         served, behind = plan.served(due, spoke)
         for slot in due[:served]:
             self._miss(plan, slot, now, stamp, is_spoilt or slot.device.number in spoke)

@@ -29,6 +29,8 @@ from servobus.bus import evidence as ev
 from servobus.bus import pairing
 from servobus.bus.device import Device
 from servobus.bus.evidence import Evidence
+from servobus.bus.pairing import DOUBTFUL
+from servobus.bus.pairing import SURE
 from servobus.bus.plan import Due
 from servobus.bus.plan import Effect
 from servobus.bus.plan import Plan
@@ -40,7 +42,7 @@ from servobus.bus.registry import DeviceRegistry
 from servobus.bus.reply_policy import OpenQuestion
 from servobus.bus.reply_policy import ReplyPolicy
 from servobus.bus.table import READ
-from servobus.bus.unread import Unread
+from servobus.bus.unread import UnreadAnswers
 
 _NO_SLOTS: dict[int, Slot] = {}
 _PING_SIZE = 3                     # the data of the answer to a Ping; none in the 1.0 family
@@ -58,11 +60,11 @@ class Tracker:
     def __init__(self, registry: DeviceRegistry, evidence: Evidence, byte_ns: float,
                  missed_limit: int, write_acks: str) -> None:
         self._registry, self.byte_ns = registry, byte_ns
-        self.planner = planner = Planner(registry, evidence, self._acknowledged)
+        self.planner = planner = Planner(registry, evidence)
         self._known = planner.known
         self._evidence, self._note = evidence, evidence.note
         self._policy = ReplyPolicy(write_acks, missed_limit, registry, evidence)
-        self._state, self._noise = pairing.DOUBTFUL, 0     # bytes ahead of the last flawed frame
+        self._state, self._noise = DOUBTFUL, 0     # bytes ahead of the last flawed frame
         self.quiet_from = 0                    # offset of what it received after it asked
         self.pending: Plan = NO_PLAN           # the instruction that answers belong to
         self._last = _NOTHING                  # its kind, ID, code and parameters
@@ -72,12 +74,13 @@ class Tracker:
         self._unresolved = False               # no status yet: the first one gives a latency
         self._spoke: set[int] = set()          # the devices that answered it with damage
         self._before, self._given_up = NO_PLAN, _NO_SLOTS      # the one before, what it lacked
-        self.unread = Unread(registry, evidence, self._policy)
+        self.unread = UnreadAnswers(registry, evidence, self._policy)
 
     def track(self, frames: Frames, stamp: int, received: int, side: str = UNKNOWN) -> None:
         """Take the frames of one chunk, in the order of time; received: the offset after it."""
-        if side == IN and (self.unread.until or self.unread.left):
-            frames = self.unread.take(frames, stamp, received, self._before)
+        is_in = side == IN
+        if is_in and (self.unread.old_until or self.unread.deferred):
+            frames = self.unread.take_old_answers(frames, stamp, received, self._before)
         slots = self.slots
         for frame in frames:
             begin, end, kind, number, code, data, flaw = frame
@@ -85,7 +88,7 @@ class Tracker:
                 continue
             if kind:
                 said = kind, number, code, data
-                if side != IN or not self._is_echo(said, stamp):
+                if not (is_in and self._is_echo(said, stamp)):
                     slots = self._instruct(said, flaw, begin, end, received, stamp)
                 continue
             if (slot := slots.pop(number, None)) is None:
@@ -103,7 +106,8 @@ class Tracker:
                 device.counts.answers += 1
                 device.heard = stamp
                 take = slot.take       # calling it as an attribute costs more
-                take(slot.span, data, stamp, READ)
+                if take(slot.span, data, stamp, READ):
+                    self._carry_out()
 
     def _is_echo(self, said: Said, stamp: int) -> bool:
         """Take an instruction that came to the master; return whether it is its own."""
@@ -126,12 +130,16 @@ class Tracker:
         """Judge nothing that is pending: `lost` events were not heard, or the port was closed."""
         if lost:
             self._note(stamp, ev.SOURCE_LOST, ev.NO_DEVICE, ev.Much(lost))
-        elif self.pending is not NO_PLAN:
-            self.slots.pop(BROADCAST, None)
-            self.unread.last = [*self.unread.left, self._question([*self.slots.values()])]
-        self.unread.left.clear()
+        self.slots.pop(BROADCAST, None)
+        self.unread.close(None if lost or self.pending is NO_PLAN
+                          else self._question([*self.slots.values()]))
         self._forget()
-        self._state = pairing.DOUBTFUL
+        self._state = DOUBTFUL
+
+    def accept_purge(self, stamp: int) -> None:
+        """Note that the program discarded what waited, perhaps all that is still to come."""
+        if self.unread.report_purge(self.pending, self.slots, self.asked, self.quiet_from, stamp):
+            self.slots.clear()
 
     def _question(self, due: list[Slot]) -> OpenQuestion:
         return OpenQuestion(self.pending, due, self._spoke, self._state >= pairing.SPOILT,
@@ -161,8 +169,12 @@ class Tracker:
             self._given_up = _NO_SLOTS
         if self._spoke:
             self._spoke = set()
+        if not self._registry.plans_hold:
+            self.planner.forget_plans()
         plan = self._known.get(said) or self.planner.plan_for(said, stamp)
-        self._before, self.pending, self._last = self.pending, plan, said
+        self._before = self.pending
+        self.pending = plan
+        self._last = said
         plan.asked += 1
         plan.stamps.append(stamp)
         if (start := plan.begin) is not None:  # nothing waits: _close() has ended that
@@ -170,7 +182,8 @@ class Tracker:
                 self._note(stamp, ev.UNSTUFFED, said[1], ev.Code(said[2]))
             self._deferred = start(said[3], stamp)
         self._asked = end, received, stamp
-        self._unresolved, self._state = True, pairing.SURE
+        self._unresolved = True
+        self._state = SURE
         self.slots = slots = plan.slots.copy()
         return slots
 
@@ -207,17 +220,18 @@ class Tracker:
         device = slot.device
         device.counts.answers += 1
         is_again = self._before.asks(device, len(data)) and device.has_just_answered(stamp)
-        self._registry.heard(device, error, stamp)
+        self._registry.accept_status(device, error, stamp)
         code = error & ~ALERT
+        if code and (self.is_doubtful or slot.due is Due.ACK):
+            self._deferred = None              # where it is doubtful: it may answer this write
         if self.is_doubtful:
-            self._deferred = None if code else self._deferred      # it may answer this write
             return
         device.last_error = code
         if code:
-            self._deferred = None if slot.due is Due.ACK else self._deferred
             self._policy.refuse(slot, self.pending.request.instruction, code, stamp)
         elif len(data) == slot.size:
-            slot.take(slot.span, data, stamp, READ)
+            if slot.take(slot.span, data, stamp, READ):
+                self._carry_out()
         elif self.planner.has_answer(device.number, len(data)):
             if not is_again:
                 self.slots[device.number] = slot       # a late one: its own may still come
@@ -225,12 +239,8 @@ class Tracker:
         else:
             self._note(stamp, ev.WRONG_SIZE, device.number, ev.Sizes(len(data), slot.size))
 
-    def _acknowledged(self, device: Device, *_: object) -> None:
-        device.acknowledged()
-        self._carry_out()
-
     def _carry_out(self) -> None:
-        """Do what the pending instruction asked for: it was accepted."""
+        """Do what the pending instruction asked for: it was accepted, or not refused."""
         if self._deferred is not None:
             (action, arguments), self._deferred = self._deferred, None
             action(*arguments)
@@ -267,7 +277,7 @@ class Tracker:
             return
         device = self._registry.device(number)
         is_again = self._before.asks(device, len(data)) and device.has_just_answered(stamp)
-        self._registry.heard(device, error, stamp)
+        self._registry.accept_status(device, error, stamp)
         plan = self.pending
         request = plan.request
         if request.answers is Answers.EVERYBODY and len(data) == (
@@ -278,11 +288,11 @@ class Tracker:
                 self._note(stamp, ev.ANSWERED_AGAIN, number, ev.Code(request.instruction))
         elif not plan.is_understood and request.id in (number, BROADCAST):
             pass                   # it may have asked for this answer
-        elif device.pays(stamp, self.unread.patience_ns) \
+        elif (device.owed and device.accept_late_reply(stamp, self.unread.late_reply_ns)) \
                 or (number in self._given_up and number not in plan.slots):
             self._note_extra(number, False, stamp)
             if not data and device.dialect is None and not error & ~ALERT:
-                device.acknowledged()          # Pings and reads are answered with data
+                device.accept_ack()          # Pings and reads are answered with data
         elif number in plan.slots or is_again:
             self._note_extra(number, True, stamp)
         else:
@@ -301,26 +311,23 @@ class Tracker:
         reason, is_repaired, noise, is_unstuffed, _ = flaw
         if is_unstuffed and not (noise or is_repaired):
             return False
-        if side == IN and noise > GLITCH:      # what came before the question is no matter
+        if noise > GLITCH and side == IN:      # what came before the question is no matter
             noise = min(noise, max(0, frame[0] - self.quiet_from))
         self._noise = noise
-        if reason == 'cut' and self.unread.cuts(frame, noise, self.slots, stamp):
+        if reason == 'cut' and self.unread.accept_truncated_reply(frame, noise, self.slots, stamp):
+            del self.slots[frame[3]]
             return True
-        damage, loud = pairing.TO_MASTER if side == IN else pairing.ON_THE_WIRE
-        if reason:
-            if noise > GLITCH:
-                self._state = pairing.NEXT[self._state][damage]
-            self._state = pairing.NEXT[self._state][self._damaged(frame, flaw, stamp, side)]
-            return True
-        device = self._registry.devices.get(frame[3]) if frame[2] == IS_STATUS else None
         if noise > GLITCH:
-            self._state = pairing.NEXT[self._state][loud]
-        elif noise:
+            damage, loud = pairing.TO_MASTER if side == IN else pairing.ON_THE_WIRE
+            self._state = pairing.NEXT[self._state][damage if reason else loud]
+        elif noise and not reason:
             self._evidence.counts[ev.GLITCH] += 1
-        if is_repaired and device is not None:
-            device.counts.repaired += 1
-            self._spoke.add(device.number)     # whether the others understood it, is not known
-        return False
+        if reason:
+            self._state = pairing.NEXT[self._state][self._damaged(frame, flaw, stamp, side)]
+        elif is_repaired and frame[2] == IS_STATUS and frame[3] in self._registry.devices:
+            self._registry.devices[frame[3]].counts.repaired += 1
+            self._spoke.add(frame[3])          # whether the others understood it, is not known
+        return bool(reason)
 
     def hear_noise(self, noise: int) -> None:
         """Take note of noise to the master since it asked, which no frame followed."""
@@ -331,7 +338,7 @@ class Tracker:
     @property
     def is_doubtful(self) -> bool:
         """Whether an answer may not belong to what is pending."""
-        return self._state == pairing.DOUBTFUL
+        return self._state == DOUBTFUL
 
     def _damaged(self, frame: Frame, flaw: Flaw, stamp: int, side: str) -> int:
         """Note a damaged frame; return what happened to the pairing."""
@@ -361,23 +368,29 @@ class Tracker:
         slots = self._given_up = self.slots
         slots.pop(BROADCAST, None)
         due = [*filter(self._policy.is_due, slots.values())]
-        question = self._question(due)
-        now = int(self._on_wire(began, received, stamp))
-        if due and self.unread.leaves(question, now, self.byte_ns):
-            self._given_up = _NO_SLOTS
-        elif due:
-            if question.is_spoilt:
-                self._policy.look_at_noise(question, self._noise, slots.values(), now)
-            elif len(slots) == 1:
-                self.unread.give_up(due[0], question.asked, now)
-            self._policy.judge(question, now, stamp, us := self._since_asked(now))
-            if following == self._last:
-                self._note(now, ev.REPEATED, due[0].device.number, ev.Again(following[2], us))
-        elif slots and self.unread.stamp:      # only a tap says what waits
-            self.unread.pass_over(self._question([*slots.values()]))
-        if not due or question.is_spoilt:
+        if due:
+            self._end_question(self._question(due), following,
+                               int(stamp - (received - began) * self.byte_ns), stamp)
+        elif slots and self.unread.reported_ns:        # only a tap says what waits
+            self.unread.keep_uncertain(self._question([*slots.values()]))
+        if self._deferred is not None and (not due or self._state >= pairing.SPOILT):
             self._carry_out()
         self._deferred = None
+
+    def _end_question(self, question: OpenQuestion, following: Said, now: int,
+                      stamp: int) -> None:
+        """Judge a question with answers that were due and did not come, or have it deferred."""
+        if not self.unread.end_question(question, now, self.byte_ns):
+            self._given_up = _NO_SLOTS
+            return
+        first = question.due[0]
+        if question.is_spoilt:
+            self._policy.look_at_noise(question, self._noise, self.slots.values(), now)
+        elif len(self.slots) == 1:
+            self.unread.keep_given_up(first, question.asked, now)
+        self._policy.judge(question, now, stamp, us := self._since_asked(now))
+        if following == self._last:
+            self._note(now, ev.REPEATED, first.device.number, ev.Again(following[2], us))
 
     def _since_asked(self, now: int) -> int:        # in us, from its end
         return int(now - self._on_wire(*self._asked)) // 1000
@@ -387,7 +400,7 @@ class Tracker:
         return stamp - (received - offset) * self.byte_ns
 
     def _sample_latency(self, device: Device, began: int, received: int, stamp: int) -> None:
-        if device is not self.pending.first or self._state == pairing.DOUBTFUL:
+        if device is not self.pending.first or self._state == DOUBTFUL:
             return                             # another device had its turn before it
         device.latency_resolved += 1
         end, asked_received, asked = self._asked       # as _on_wire(), which costs more
