@@ -33,7 +33,7 @@ from servobus.bus.decoder import BusDecoder
 from servobus.bus.decoder import DEFAULTS
 from servobus.bus.decoder import Settings
 from servobus.bus.device import Device
-from servobus.bus.device import facts
+from servobus.bus.device import report_device
 from servobus.bus.plan import Plan
 from servobus.bus.report import BusReport
 from servobus.bus.report import Cycle
@@ -103,8 +103,9 @@ class Monitor:
         self._names = names
         self.doctor = Doctor(settings, names)
         self._examining = Lock()               # the doctor remembers from report to report
-        self.decoder = said = decoder or BusDecoder(models, settings)
-        self._tracker, self._registry, self._evidence = said.tracker, said.registry, said.evidence
+        self.decoder = decoder = decoder or BusDecoder(models, settings)
+        self._tracker, self._registry = decoder.tracker, decoder.registry
+        self._evidence = decoder.evidence
         self.signals = BusSignals(self._registry, self._lock)
         self._line_errors: LineErrors | None = None    # reported by the source
         self._idle_is_told = idle_is_told
@@ -128,7 +129,7 @@ class Monitor:
 
     def feed_pieces(self, pieces: Sequence[tuple[bytes, int, str]]) -> None:
         """Take what one read brought, in pieces with a stamp and a side each, as feed() does."""
-        said, clock = self.decoder, self._clock
+        decoder, clock = self.decoder, self._clock
         stamp = 0
         with self._lock:
             began = clock()
@@ -140,10 +141,10 @@ class Monitor:
                 if self._idle_is_told:
                     self._listen_until(stamp)
                 else:
-                    on_wire_ns = 0 if side == OUT else int(size * said.byte_ns)
+                    on_wire_ns = 0 if side == OUT else int(size * decoder.byte_ns)
                     self._flush_if_idle(stamp - on_wire_ns)
                 try:
-                    said.hear(chunk, stamp, side)
+                    decoder.process_chunk(chunk, stamp, side)
                 except Exception as mistake:
                     self._go_on(mistake)
                 if self._registry.new_ids:
@@ -162,7 +163,7 @@ class Monitor:
         with self._lock:
             field = _LINE_ERRORS.get(change.what)
             if field is None:
-                self._try(self.decoder.change, change, stamp)
+                self._try(self.decoder.process_change, change, stamp)
             else:
                 before = self._line_errors or LineErrors()
                 self._line_errors = before._replace(
@@ -236,13 +237,13 @@ class Monitor:
         with self._lock:
             self._registry.resolve(device)
             quiet_ns = self._listened - max(device.heard, device.asked_stamp, self._resumed)
-            report, table = facts(device, now, quiet_ns / 1e9)
+            report, table = report_device(device, now, quiet_ns / 1e9)
         observed = tuple(table.observed(report.model, now))
         if report.model.number is None and is_contradicted(
                 report.model, ((one.field, one.value) for one in observed), report.errors):
             with self._lock:
                 device.used.add(NOWHERE)
-                self._registry.lay_out(device, control_table.UNKNOWN)
+                self._registry.set_layout(device, control_table.UNKNOWN)
             return self._device_report(device, now)
         return report._replace(observed=observed,
                                unobserved=len(report.model.fields) - len(observed))
@@ -270,10 +271,11 @@ class Monitor:
                         if device.used and device.heard and device.model_number is None]
         for key in said:
             self._models.get(key)
-        layouts = [(device, self._layouts.of(speaks, used)) for device, speaks, used in nameless]
+        layouts = [(device, self._layouts.find_layout(protocol, used))
+                   for device, protocol, used in nameless]
         with self._lock:
             for device, layout in layouts:
-                self._registry.lay_out(device, layout)
+                self._registry.set_layout(device, layout)
 
     def _start_statistics(self, now: int) -> None:
         self._started = now
@@ -294,7 +296,7 @@ class Monitor:
 
     def _flush_if_idle(self, now: int) -> None:
         if self._last and now - self._last > self.decoder.idle_ns:
-            self._try(self.decoder.pause, self._last, now)
+            self._try(self.decoder.process_pause, self._last, now)
 
     def _try(self, call: Callable[..., None], *arguments: Any) -> None:
         try:
@@ -316,13 +318,13 @@ class Monitor:
         self._next_tick += TICK_NS
         self._started = self._started or now
         for device in self._registry.devices.values():
-            device.tick()
-        said = self.decoder
-        noise_bytes = said.total('noise_bytes')
+            device.add_snapshot()
+        decoder = self.decoder
+        noise_bytes = decoder.total('noise_bytes')
         if self._ticks and noise_bytes != self._noise_seen:
-            self._evidence.look_at_noise(said.noise, noise_bytes - self._noise_seen, now)
+            self._evidence.search_noise(decoder.noise, noise_bytes - self._noise_seen, now)
         self._noise_seen = noise_bytes
-        said.clock.choose(self._tracker.planner.known.values(), now)
+        decoder.clock.choose_leader(self._tracker.planner.known.values(), now)
         self._ticks.append((now, self._activity()))
 
     def _activity(self) -> Activity:

@@ -54,7 +54,7 @@ class BusSignals:
             rings.pop(key, None)
             recorder = self._recorders.pop(number, None)
             if recorder is not None and recorder.device.number == number:
-                recorder.device.table.call(None)
+                recorder.device.table.set_listener(None)
                 self._attach(recorder.device)
 
     def attach_new(self) -> None:
@@ -70,7 +70,7 @@ class BusSignals:
         if rings and (recorder is None or recorder.device is not device):
             recorder = _DeviceSignals(device, rings, self._registry)
             self._recorders[device.number] = recorder
-            device.table.call(recorder.take)
+            device.table.set_listener(recorder.take)
 
 
 class _DeviceSignals:

@@ -74,7 +74,7 @@ def test_no_register_is_named_wrongly(left_out, least):
     Path(__file__).with_name('layouts.tsv')))
 def test_a_use_says_which_registers_those_are(protocol, used, name, position):
     orders = {'little': layout.LITTLE, 'big': layout.BIG}
-    found = ALL.of(protocol, frozenset(
+    found = ALL.find_layout(protocol, frozenset(
         orders.get(one) or tuple(map(int, one.split('+'))) for one in used.split()))
     said = found.by_name.get('Present Position')
     assert (found.name, said.key if said else '') == (name, position)

@@ -43,11 +43,11 @@ from servobus.bus import evidence as ev
 from servobus.bus.device import Device
 from servobus.bus.device import LATE_REPLY_NS
 from servobus.bus.evidence import Evidence
-from servobus.bus.plan import AROUND
-from servobus.bus.plan import AROUND_1
 from servobus.bus.plan import Due
 from servobus.bus.plan import Plan
 from servobus.bus.plan import Slot
+from servobus.bus.plan import STATUS_OVERHEAD
+from servobus.bus.plan import STATUS_OVERHEAD_1
 from servobus.bus.registry import DeviceRegistry
 from servobus.bus.reply_policy import OpenQuestion
 from servobus.bus.reply_policy import ReplyPolicy
@@ -131,7 +131,7 @@ class UnreadAnswers:
         elif received > self._reported_at:
             self._stale_questions += 1
             if self._stale_questions % STALE_MIN_QUESTIONS == 0:
-                self._evidence.note(stamp, ev.STALE, ev.NO_DEVICE, ev.NOTHING)
+                self._evidence.add_incident(stamp, ev.STALE, ev.NO_DEVICE, ev.NOTHING)
         self.old_until = waiting and received + waiting
         self._reported_at, self.reported_ns = received, stamp
 
@@ -162,7 +162,7 @@ class UnreadAnswers:
         is_all = bool(slots) and self._vain_read_ns <= asked and waiting == _size_of(awaited)
         if is_all:
             if self._reported_at == received:
-                self._evidence.note(stamp, ev.THROWN_AWAY, plan.request.id,
+                self._evidence.add_incident(stamp, ev.THROWN_AWAY, plan.request.id,
                                     ev.Code(plan.request.instruction))
             self.discarded = 0
             for slot in awaited:
@@ -188,19 +188,19 @@ class UnreadAnswers:
             ((at, at + 1) for at, slot in enumerate(late) if slot.status_size == waiting), (0, 0))
         for slot in late[begin:end]:
             self._registry.accept_status(slot.device, 0, stamp)
-            self._evidence.note(stamp, ev.LATE, slot.device.number, ev.Lateness(0))
+            self._evidence.add_incident(stamp, ev.LATE, slot.device.number, ev.Lateness(0))
         if end > len(given_up):
             self._late_ns = asked
         self._given_up = deque(given_up[:begin] + given_up[end:], QUESTIONS_KEPT)
         answered = None if slots or end else plan.slots.get(plan.request.id)
         if answered is not None and waiting == answered.status_size:
-            self._evidence.note(stamp, ev.SECOND_ANSWER, answered.device.number,
+            self._evidence.add_incident(stamp, ev.SECOND_ANSWER, answered.device.number,
                                 ev.Code(plan.request.instruction))
 
     # --- a question is over ---------------------------------------------------------------------
 
     def end_question(self, question: OpenQuestion, now: int, byte_ns: float) -> bool:
-        """Take a question with answers that are due; return whether these are missed."""
+        """Accept a question with answers that are due; return whether these are missed."""
         if self._unsent_ns == question.asked:
             self._note_unsent(question, now)
             event = NOT_SENT
@@ -211,7 +211,7 @@ class UnreadAnswers:
         else:
             event = NOT_READ if self._purged_ns < question.asked else NOT_READ_PURGED
             waited, slot = now - question.asked, question.due[0]
-            if waited < byte_ns * (AROUND_1 + slot.size):      # no answer is over so soon
+            if waited < byte_ns * (STATUS_OVERHEAD_1 + slot.size):      # no answer is over so soon
                 self._evidence.add_wait(Wait(now, waited // 1000, slot.device.number, False))
         state = NEXT[PENDING][event]
         if state == MISSED:
@@ -220,11 +220,11 @@ class UnreadAnswers:
         return False
 
     def keep_uncertain(self, question: OpenQuestion) -> None:
-        """Take a write that is over, of which it is unknown whether it is acknowledged."""
+        """Accept a write that is over, of which it is unknown whether it is acknowledged."""
         self._questions[UNCERTAIN].append(question)
 
     def keep_given_up(self, slot: Slot, asked: int, now: int) -> None:
-        """Take a missed answer that was looked for, if it may be late: it lives, or it is soon."""
+        """Keep a missed answer that was looked for, if it may be late: it lives, or it is soon."""
         device = slot.device
         lives = device.heard and device.missed_in_a_row <= ALIVE_MAX_MISSED
         if self._vain_read_ns > asked != self._late_ns and (
@@ -257,11 +257,11 @@ class UnreadAnswers:
     def _end_deferred(self, question: OpenQuestion, event: str, stamp: int) -> None:
         self.deferred.remove(question)
         if NEXT[DEFERRED][event] == MISSED:
-            self._policy.judge(question, stamp, stamp)
+            self._policy.judge_question(question, stamp, stamp)
 
     def _note_unsent(self, question: OpenQuestion, now: int) -> None:
         request = question.plan.request
-        self._evidence.note(now, ev.NOT_SENT, request.id, ev.Code(request.instruction))
+        self._evidence.add_incident(now, ev.NOT_SENT, request.id, ev.Code(request.instruction))
 
     def _has_waited(self, question: OpenQuestion) -> bool:
         """Return whether the program looked for the answer for some time."""
@@ -270,7 +270,7 @@ class UnreadAnswers:
     def _has_had_time(self, question: OpenQuestion, now: int, byte_ns: float,
                       delay_ns: float = ADAPTER_DELAY_NS) -> bool:
         """Return whether all answers would have come by now."""
-        size = sum(slot.size + AROUND for slot in question.due)
+        size = sum(slot.size + STATUS_OVERHEAD for slot in question.due)
         return now - question.asked >= delay_ns + byte_ns * size
 
     # --- what the program reads -----------------------------------------------------------------
@@ -286,7 +286,7 @@ class UnreadAnswers:
                     self.discarded and flaw is not None and flaw.reason == 'cut'):
                 rest.append(frame)
             elif flaw is not None and flaw.reason:
-                self._evidence.note_damage(stamp, frame, flaw, IN)
+                self._evidence.add_damage(stamp, frame, flaw, IN)
                 self._judge_damaged(number, stamp)
             elif not self._answer_deferred(number, code, data, stamp):
                 if begin < self._reported_at:      # it was hidden by damage
@@ -315,28 +315,28 @@ class UnreadAnswers:
         self._registry.accept_status(device, code, stamp)
         device.last_error = error
         if error:
-            self._policy.refuse(slot, question.plan.request.instruction, error, stamp)
-        elif slot.take(slot.span, data, stamp, READ) and question.effect is not None:
+            self._policy.count_refusal(slot, question.plan.request.instruction, error, stamp)
+        elif slot.accept(slot.span, data, stamp, READ) and question.effect is not None:
             action, arguments = question.effect
             action(*arguments)
         return True
 
     def _accept_extra(self, device: Device, code: int, data: bytes, stamp: int,
                       before: Plan) -> None:
-        """Take an answer that waited and that nothing asked for, as far as is known."""
+        """Accept an answer that waited and that nothing asked for, as far as is known."""
         self._registry.accept_status(device, code, stamp)
         if device.accept_late_reply(stamp, self.late_reply_ns):
-            self._evidence.note(stamp, ev.LATE, device.number, ev.Lateness(0))
+            self._evidence.add_incident(stamp, ev.LATE, device.number, ev.Lateness(0))
         elif before.asks(device, len(data)):
-            self._evidence.note(stamp, ev.SECOND_ANSWER, device.number,
+            self._evidence.add_incident(stamp, ev.SECOND_ANSWER, device.number,
                                 ev.Code(before.request.instruction))
 
     def _judge_damaged(self, number: int, stamp: int) -> None:
-        """Take a damaged answer: that to the oldest question, or to one to this device."""
+        """Accept a damaged answer: that to the oldest question, or to one to this device."""
         found = [(question, slot) for question in self.deferred for slot in question.due]
         found.sort(key=lambda one: one[1].device.number != number)
         for question, slot in found[:1]:
-            question.spoke.add(slot.device.number)
+            question.damaged_ids.add(slot.device.number)
             slot.device.counts.garbled += 1
             slot.device.counts.damaged += 1
             if len(question.due) == 1:
@@ -344,7 +344,7 @@ class UnreadAnswers:
 
     def accept_truncated_reply(self, frame: Frame, noise: int, slots: dict[int, Slot],
                                stamp: int) -> bool:
-        """Take an answer of which the program discarded just the end; or return False."""
+        """Accept an answer of which the program discarded just the end; or return False."""
         begin, end, _, number, *_ = frame
         slot = slots.get(number) if self.discarded and noise <= GLITCH else None
         if slot is None or end - begin + self.discarded != slot.status_size:
@@ -379,7 +379,8 @@ class UnreadAnswers:
             if waited > HUNG_NS and slot is not None and slot.due is not Due.ACK \
                     and not self.old_until \
                     and max(self._vain_read_ns, self._purged_ns) < question.asked:
-                self._evidence.note(end, ev.HUNG, slot.device.number, ev.Lateness(waited // 1000))
+                self._evidence.add_incident(end, ev.HUNG, slot.device.number,
+                                            ev.Lateness(waited // 1000))
             else:
                 self._judge_open(question, failed, question is questions[-1], byte_ns)
         questions.clear()
@@ -399,11 +400,11 @@ class UnreadAnswers:
             return
         if self._unsent_ns == question.asked:
             self._note_unsent(question, now)
-        elif failed and (is_passed or question.is_spoilt or question.spoke
+        elif failed and (is_passed or question.is_spoilt or question.damaged_ids
                        or self._had_time_at_end(question, due, now, byte_ns)):
-            self._policy.judge(question._replace(due=due), now, now, us)
+            self._policy.judge_question(question._replace(due=due), now, now, us)
         elif is_last and (failed or not due[0].device.heard):
-            self._evidence.note(now, ev.LEFT_OPEN, due[0].device.number, ev.Lateness(us))
+            self._evidence.add_incident(now, ev.LEFT_OPEN, due[0].device.number, ev.Lateness(us))
 
     def _had_time_at_end(self, question: OpenQuestion, due: list[Slot], now: int,
                          byte_ns: float) -> bool:
