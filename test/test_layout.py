@@ -42,7 +42,7 @@ def named(model, program, left_out):
               and not LEFT_OUT[left_out](one, model)]
     used = [(field.at, field.size) for name in PROGRAMS[program]
             if (field := model.by_name.get(name))]
-    found = layout.agreed(tables, used)
+    found = layout.agreed_model(tables, used)
     result = Counter()
     for at, _ in used:
         truth, said = model.by_address[at], found.by_address.get(at)
