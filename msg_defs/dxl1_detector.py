@@ -13,8 +13,8 @@ from typing import NamedTuple
 from msg_defs.frame import Frame
 from msg_defs.frame import GLITCH
 
-PROOF = 3                          # frames directly after each other that prove the family
-MUCH = 16                          # or so many in all, with fewer wrong ones than 16 to each
+PROOF_FRAMES = 3                   # frames directly after each other that prove the family
+PROOF_SINGLE_FRAMES = 16           # or so many in all, with fewer wrong ones than 16 to each
 
 
 class Candidate(NamedTuple):
@@ -42,7 +42,7 @@ class Detector:
         self.streak: list[Candidate] = []      # directly after each other, not yet proof
         self._single = 0                       # good frames that were given up
 
-    def proves(self, one: Candidate, is_whole: bool) -> bool:
+    def add_candidate(self, one: Candidate, is_whole: bool) -> bool:
         """
         Take a frame that may be chance; return whether it is proof, with those in `proof`.
 
@@ -50,26 +50,27 @@ class Detector:
         """
         flaw = one.frame[6]
         if flaw is not None and flaw.noise_length > GLITCH:
-            self.reject()
+            self.reject_streak()
         self.streak.append(one)
         one.framer.held += one.frame[1] - one.frame[0]
-        if not is_whole and len(self.streak) < PROOF \
-                and not (self._single >= MUCH and MUCH * self._single > one.framer.wrong):
+        if not is_whole and len(self.streak) < PROOF_FRAMES \
+                and not (self._single >= PROOF_SINGLE_FRAMES
+                         and PROOF_SINGLE_FRAMES * self._single > one.framer.wrong):
             return False
         for held in self.streak[:-1]:
             held.framer.claim(held.frame)
             self.proof.append(held)
             self.proving = one.frame
-        self._let_go()
+        self._release_streak()
         one.framer.claim(one.frame)
         return True
 
-    def reject(self) -> None:
+    def reject_streak(self) -> None:
         """Give up what is not proven: its bytes are noise."""
         self._single += len(self.streak)
-        self._let_go()
+        self._release_streak()
 
-    def _let_go(self) -> None:
+    def _release_streak(self) -> None:
         for held in self.streak:
             held.framer.held = 0
         self.streak = []

@@ -181,10 +181,10 @@ def understood(kind: int, code: int, id: int, params: bytes, dialect: Dialect) -
     entry = dialect.entries.get(code)
     if entry is None or kind == MALFORMED_1:
         return Request(code, id, Answers.NONE, malformed=entry is not None)
-    said = parse_2(code, id, params)
+    request = parse_2(code, id, params)
     # A reset of Dynamixel sets the ID to 1, one of Feetech keeps it.
     sets_id = dialect is DYNAMIXEL_1 and code == Instruction.FACTORY_RESET
-    return said._replace(answers=_answers(entry, id), malformed=False,
+    return request._replace(answers=_answers(entry, id), malformed=False,
                          option=RESET_ALL if sets_id else '')
 
 

@@ -79,7 +79,7 @@ class Dxl1Framer(StreamFramer):
         size = len(data)
         base = self.bytes - size
         found: Frames = []
-        take = found.append
+        add_frame = found.append
         damaged = 0
         noisy = self.noise_length
         done = 0                   # everything in front of it is decided
@@ -101,12 +101,12 @@ class Dxl1Framer(StreamFramer):
                 if mark != done or noisy:
                     flaw = self._flaw(data[done:mark])
                     noisy = 0
-                take((base + mark, base + end, EITHER_1, number, data[mark + 4],
-                      data[mark + 5:end - 1], flaw))
+                add_frame((base + mark, base + end, EITHER_1, number, data[mark + 4],
+                           data[mark + 5:end - 1], flaw))
                 done = end
                 mark = find(HEADER, end)
             else:
-                take(self._damaged(data, base, done, mark))
+                add_frame(self._damaged(data, base, done, mark))
                 damaged += 1
                 mark = find(HEADER, mark + 1)
         self.packets += len(found) - damaged

@@ -48,23 +48,23 @@ class _Run(NamedTuple):
     noise_ahead: int               # bytes of noise after the last good one
 
 
-class _First(Framer):
+class _GapFramer(Framer):
     """
     The framer of 2.0, which keeps what it gives up as `gaps`.
 
     is_shared: there is another family on the wire. Then it holds back as little as it can, and
     a byte in front of a damaged header may be the sum of another packet: it is not taken.
-    is_looking: every gap is kept, else only what may hold a packet of the 1.0 family. noise_ahead:
-    bytes of noise since the last good frame of either.
+    keeps_all_gaps: every gap is kept, else only what may hold a packet of the 1.0 family.
+    noise_ahead: bytes of noise since the last good frame of either.
     """
 
-    __slots__ = ('gaps', 'is_looking', 'is_shared', 'noise_ahead')
+    __slots__ = ('gaps', 'is_shared', 'keeps_all_gaps', 'noise_ahead')
 
     def __init__(self, is_shared: bool) -> None:
         super().__init__()
         self.gaps: list[Gap] = []
         self.noise_ahead = 0
-        self.is_looking = False
+        self.keeps_all_gaps = False
         self.is_shared = is_shared
 
     def has_nothing(self) -> bool:
@@ -101,7 +101,7 @@ class _First(Framer):
         if is_repaired and (mark == done or self.is_shared):
             begin = mark
         gap = data[done:begin]
-        if self.gaps or self.is_looking or (begin - done > _SHORT and _HOLDS.search(gap)):
+        if self.gaps or self.keeps_all_gaps or (begin - done > _SHORT and _HOLDS.search(gap)):
             self.gaps.append((self.bytes - len(data) + done, gap, True))
         else:
             self.noise_ahead = 0
@@ -118,7 +118,7 @@ class _First(Framer):
             undecided = self._begun(data, done, undecided)
         if undecided > done:
             gap = data[done:undecided]
-            if self.gaps or self.is_looking or not _is_passed_over(gap, data[undecided:]):
+            if self.gaps or self.keeps_all_gaps or not _is_passed_over(gap, data[undecided:]):
                 self.gaps.append((self.bytes - len(data) + done, gap, False))
             else:
                 self.noise_ahead += len(gap)
@@ -162,7 +162,7 @@ class MixedFramer:
 
     def __init__(self, detector: Detector, is_shared: bool = False, side: str = '') -> None:
         self._second = dxl1_packet.Dxl1Framer()
-        self._first = _First(is_shared)
+        self._first = _GapFramer(is_shared)
         self._detector = detector
         self._is_open = False          # some bytes wait in the second framer
         self._seen = 0                 # good frames of the second framer so far
@@ -246,37 +246,37 @@ class MixedFramer:
         """Return what this chunk completes, in the order of the wire."""
         first = self._first
         begin, proven = first.bytes, self._detector.proven
-        if proven or self._is_open or first.is_looking:
-            self._look_closely()
+        if proven or self._is_open or first.keeps_all_gaps:
+            self._check_each_gap()
         self.has_other = self.held > 0
         if (proven and first.is_shared and _TAIL not in chunk and not chunk.endswith(_ENDINGS)
                 and first.has_nothing()):
             self.bytes = first.pass_over(chunk)    # no packet of 2.0 begins, goes on or ends in it
-            found = self._look(begin, chunk)
+            found = self._search_gap(begin, chunk)
         else:
             found = first.frames(chunk)
             self.bytes = first.bytes
             if first.gaps or self._is_open:
-                found = self._mixed(found)
-        return self._believed(found, self.side == OUT and (begin, self.bytes)) \
+                found = self._insert_other(found)
+        return self._mark_unproven(found, self.side == OUT and (begin, self.bytes)) \
             if self.has_other else found
 
     def flush_frames(self) -> Frames:
         """Decide what is left, because the line is idle."""
-        self._look_closely()
+        self._check_each_gap()
         found = self._first.flush_frames()
         self.has_other = self.held > 0
         if self._first.gaps or self._is_open:
-            found = self._mixed(found)
+            found = self._insert_other(found)
         if self._is_open:
-            found = self._without_data(found + self._end())
-        return self._believed(found)
+            found = self._drop_inner_damage(found + self._end_gap())
+        return self._mark_unproven(found)
 
-    def _look_closely(self) -> None:
+    def _check_each_gap(self) -> None:
         """Have each gap looked at, if any may belong to a packet of the 1.0 family."""
-        self._first.is_looking = self._is_open or bool(self._detector.proven)
+        self._first.keeps_all_gaps = self._is_open or bool(self._detector.proven)
 
-    def _believed(self, found: Frames, whole: object = None) -> Frames:
+    def _mark_unproven(self, found: Frames, whole: object = None) -> Frames:
         """Mark frames of the 1.0 family that are no packets; whole: what was written at once."""
         detector, proven = self._detector, self._detector.proven
         detector.proof = []
@@ -291,31 +291,31 @@ class MixedFramer:
                 continue
             else:
                 one = Candidate(self, frame, self.stamp, self.bytes, self.side)
-                is_one = detector.proves(one, (begin, end) == whole)
+                is_one = detector.add_candidate(one, (begin, end) == whole)
             if not is_one:
                 found[at] = begin, end, UNPROVEN_1, number, code, content, flaw
         if detector.streak and self.noise_length > GLITCH:
-            detector.reject()
+            detector.reject_streak()
         return found
 
-    def _mixed(self, found: Frames) -> Frames:
+    def _insert_other(self, found: Frames) -> Frames:
         """Put the frames of the other family where they were, in front of those of 2.0."""
-        runs = self._runs()
-        mixed = self._merged(found, runs) if self.has_other or self.claimed else found
+        runs = self._search_gaps()
+        mixed = self._merge_runs(found, runs) if self.has_other or self.claimed else found
         if self._is_open and self._first.is_shared and self._first.pending:
-            mixed = mixed + self._completed()
-        return self._without_data(mixed)
+            mixed = mixed + self._complete_packet()
+        return self._drop_inner_damage(mixed)
 
-    def _runs(self) -> list[_Run]:
+    def _search_gaps(self) -> list[_Run]:
         """Look through the gaps, as long as nothing is proven only where a packet may be."""
         first = self._first
         runs = []
         for at, data, is_ended in first.gaps:
             if (self._is_open or self._detector.proven or _HOLDS.search(data)
                     or not (is_ended or _is_passed_over(data, b''))):
-                frames = self._look(at, data) if data else []
+                frames = self._search_gap(at, data) if data else []
                 if is_ended and self._is_open:
-                    frames += self._end()
+                    frames += self._end_gap()
                 runs.append(_Run(at, frames, first.noise_ahead))
             elif not is_ended:
                 first.noise_ahead += len(data)
@@ -324,13 +324,13 @@ class MixedFramer:
         first.gaps.clear()
         return runs
 
-    def _look(self, at: int, data: Data) -> Frames:
+    def _search_gap(self, at: int, data: Data) -> Frames:
         """Return what is in a gap, or ends in it."""
         self._shift = at - self._second.bytes
         self._second.noise_length = self._first.noise_ahead
-        return self._moved(self._second.frames(data))
+        return self._shift_frames(self._second.frames(data))
 
-    def _merged(self, found: Frames, runs: list[_Run]) -> Frames:
+    def _merge_runs(self, found: Frames, runs: list[_Run]) -> Frames:
         """Put what was in the gaps in front of the packets of 2.0 that ended them."""
         mixed: Frames = []
         left = iter(runs)
@@ -352,17 +352,18 @@ class MixedFramer:
             run = next(left, None)
         return mixed
 
-    def _completed(self) -> Frames:
+    def _complete_packet(self) -> Frames:
         """Decide a packet whose last bytes might begin one of 2.0, if its sum is right."""
         first, second = self._first, self._second
-        first.is_looking = True
+        first.keeps_all_gaps = True
         lacks = second.lacks()
         tail = first.peek(lacks)
         if not lacks or len(tail) < lacks or not second.ends_with(tail):
             return []
-        return self._look(first.bytes - first.pending, tail) + self._mixed(first.drop(lacks))
+        return self._search_gap(first.bytes - first.pending, tail) \
+            + self._insert_other(first.drop(lacks))
 
-    def _without_data(self, mixed: Frames) -> Frames:
+    def _drop_inner_damage(self, mixed: Frames) -> Frames:
         """Leave out what only looks like a damaged packet of 2.0: the data of another packet."""
         if not self.claimed or not any(frame[2] < EITHER_1 for frame in mixed):
             return mixed
@@ -377,14 +378,14 @@ class MixedFramer:
                 kept.append(frame)
         return kept
 
-    def _end(self) -> Frames:
+    def _end_gap(self) -> Frames:
         """Decide what is left of a gap: a packet of 2.0 follows, or silence."""
         if not self._is_open:
             return []
         self._second.noise_length = self._first.noise_ahead
-        return self._moved(self._second.flush_frames())
+        return self._shift_frames(self._second.flush_frames())
 
-    def _moved(self, frames: Frames) -> Frames:
+    def _shift_frames(self, frames: Frames) -> Frames:
         """Return frames of the second framer as they stand in the stream."""
         self._first.noise_ahead = self._second.noise_length
         self._is_open = self._second.pending > 0

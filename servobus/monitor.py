@@ -33,7 +33,7 @@ from servobus.bus.decoder import BusDecoder
 from servobus.bus.decoder import DEFAULTS
 from servobus.bus.decoder import Settings
 from servobus.bus.device import Device
-from servobus.bus.device import facts
+from servobus.bus.device import report_device
 from servobus.bus.plan import Plan
 from servobus.bus.report import BusReport
 from servobus.bus.report import Cycle
@@ -103,9 +103,9 @@ class Monitor:
         self._names = names
         self.doctor = Doctor(settings, names)
         self._examining = Lock()               # the doctor remembers from report to report
-        self.decoder = decoder or BusDecoder(models, settings)
-        self._tracker = self.decoder.tracker
-        self._registry, self._evidence = self.decoder.registry, self.decoder.evidence
+        self.decoder = decoder = decoder or BusDecoder(models, settings)
+        self._tracker, self._registry = decoder.tracker, decoder.registry
+        self._evidence = decoder.evidence
         self.signals = BusSignals(self._registry, self._lock)
         self._line_errors: LineErrors | None = None    # reported by the source
         self._idle_is_told = idle_is_told
@@ -142,10 +142,12 @@ class Monitor:
                     self._flush_if_idle(stamp if side == OUT else stamp - int(
                         len(data) * self.decoder.byte_ns))
                 try:
-                    self.decoder.hear(data, stamp, side)
+                    self.decoder.process_chunk(data, stamp, side)
                 except Exception as mistake:
                     self._recover(mistake)
                 self._fed += len(data)
+                if self._registry.new_ids:
+                    self.signals.attach_new()
                 if stamp >= self._next_tick:
                     self._tick(stamp)
                 self._last = stamp
@@ -168,7 +170,7 @@ class Monitor:
         self.change(Change(CLOSED, 1), now)
         with self._lock:
             self._failed, self._users = failed, tuple(users)
-            self._tracker.unread.end(now, bool(failed), self.decoder.byte_ns)
+            self._tracker.unread.judge_last(now, bool(failed), self.decoder.byte_ns)
 
     def alarms(self) -> int:
         """Return how often so far a device was lost, came back or had an alert."""
@@ -220,13 +222,13 @@ class Monitor:
         with self._lock:
             self._registry.resolve(device)
             quiet_ns = self._listened - max(device.heard, device.asked_stamp, self._resumed)
-            report, table = facts(device, now, quiet_ns / 1e9)
+            report, table = report_device(device, now, quiet_ns / 1e9)
         observed = tuple(table.observed(report.model, now))
         if report.model.number is None and is_contradicted(
                 report.model, ((one.field, one.value) for one in observed), report.errors):
             with self._lock:
                 device.used.add(NOWHERE)
-                self._registry.lay_out(device, control_table.UNKNOWN)
+                self._registry.set_layout(device, control_table.UNKNOWN)
             return self._device_report(device, now)
         return report._replace(observed=observed,
                                unobserved=len(report.model.fields) - len(observed))
@@ -254,10 +256,11 @@ class Monitor:
                         if device.used and device.heard and device.model_number is None]
         for key in keys:
             self._models.get(key)
-        layouts = [(device, self._layouts.of(speaks, used)) for device, speaks, used in nameless]
+        layouts = [(device, self._layouts.find_layout(protocol, used))
+                   for device, protocol, used in nameless]
         with self._lock:
             for device, layout in layouts:
-                self._registry.lay_out(device, layout)
+                self._registry.set_layout(device, layout)
 
     def _start_statistics(self, now: int) -> None:
         self._started = now
@@ -280,12 +283,12 @@ class Monitor:
     def _flush_if_idle(self, now: int) -> None:
         decoder = self.decoder
         if self._last and now - self._last > decoder.idle_ns:
-            self._try(decoder.pause, self._last, now)
+            self._try(decoder.process_pause, self._last, now)
 
     def _accept_change(self, change: Change, stamp: int) -> None:
         field = _LINE_ERRORS.get(change.what)
         if field is None:
-            self._try(self.decoder.change, change, stamp)
+            self._try(self.decoder.process_change, change, stamp)
         else:
             before = self._line_errors or LineErrors()
             self._line_errors = before._replace(**{field: getattr(before, field) + change.value})
@@ -310,13 +313,13 @@ class Monitor:
         self._next_tick += TICK_NS
         self._started = self._started or now
         for device in self._registry.devices.values():
-            device.tick()
+            device.add_snapshot()
         decoder = self.decoder
         noise_bytes = decoder.total('noise_bytes')
         if self._ticks and noise_bytes != self._noise_seen:
-            self._evidence.look_at_noise(decoder.noise, noise_bytes - self._noise_seen, now)
+            self._evidence.search_noise(decoder.noise, noise_bytes - self._noise_seen, now)
         self._noise_seen = noise_bytes
-        decoder.clock.choose(self._tracker.planner.known.values(), now)
+        decoder.clock.choose_leader(self._tracker.planner.known.values(), now)
         self._ticks.append((now, self._activity()))
 
     def _activity(self) -> Activity:

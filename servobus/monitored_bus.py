@@ -74,7 +74,7 @@ class MonitoredBus:
 
     def report(self, now: int) -> BusReport:
         """Return what is known; what the adapter delays is not silence."""
-        self.monitor.decoder.expect_delay(self.listener.latency_timer_ms or 0)
+        self.monitor.decoder.set_latency_timer(self.listener.latency_timer_ms or 0)
         return self.monitor.report(now, self.listener.counters.line_errors,
                                    self.listener.state.is_open and not self._behind_since)
 

@@ -33,7 +33,6 @@ class BusSignals:
         self._lock = lock
         self._chosen: dict[int, dict[str, PointRing]] = {}       # by ID and key
         self._recorders: dict[int, _DeviceSignals] = {}
-        registry.made = self._attach
 
     def read(self, number: int, key: str, after: int, since_s: float) -> Points:
         """Return what was recorded of a register, and record it from now on."""
@@ -55,8 +54,15 @@ class BusSignals:
             rings.pop(key, None)
             recorder = self._recorders.pop(number, None)
             if recorder is not None and recorder.device.number == number:
-                recorder.device.table.call(None)
+                recorder.device.table.set_listener(None)
                 self._attach(recorder.device)
+
+    def attach_new(self) -> None:
+        """Record what is chosen of the devices that are new, before more comes from them."""
+        new = self._registry.new_ids
+        for number in new & self._chosen.keys() & self._registry.devices.keys():
+            self._attach(self._registry.devices[number])
+        new.clear()
 
     def _attach(self, device: Device) -> None:
         rings = self._chosen.get(device.number)
@@ -64,7 +70,7 @@ class BusSignals:
         if rings and (recorder is None or recorder.device is not device):
             recorder = _DeviceSignals(device, rings, self._registry)
             self._recorders[device.number] = recorder
-            device.table.call(recorder.record_span)
+            device.table.set_listener(recorder.record_span)
 
 
 class _DeviceSignals:

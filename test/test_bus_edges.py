@@ -33,9 +33,9 @@ from servobus.bus.evidence import text_of
 from servobus.bus.expected import Expected
 from servobus.bus.id_confirmation import IdConfirmation
 from servobus.bus.plan import Due
+from servobus.bus.plan import ignore_data
 from servobus.bus.plan import Plan
 from servobus.bus.plan import Slot
-from servobus.bus.plan import take_nothing
 from servobus.bus.planner import Planner
 from servobus.bus.registry import DeviceRegistry
 from servobus.bus.reply_policy import OpenQuestion
@@ -78,8 +78,8 @@ def test_what_happened_in_words(row):
     [incident] = notes_of(**row)
     assert text_of(incident) == text
     evidence = Evidence()
-    evidence.note(1, incident.kind, 0, incident.detail)
-    evidence.note(2, incident.kind, -1, incident.detail)
+    evidence.add_incident(1, incident.kind, 0, incident.detail)
+    evidence.add_incident(2, incident.kind, -1, incident.detail)
     lines = [one.text for one in evidence.errors(lambda device, address: str(address))]
     assert lines == [f'000: {text}', text] * bool(text)
 
@@ -87,15 +87,15 @@ def test_what_happened_in_words(row):
 def test_the_log_keeps_the_last_50_and_the_doctor_the_last_1000_and_256_waits():
     evidence = Evidence()
     for stamp in range(1001):
-        evidence.note(stamp, ev.ALERT, 1, ev.NOTHING)
+        evidence.add_incident(stamp, ev.ALERT, 1, ev.NOTHING)
         evidence.waits.append(Wait(stamp, 1, 1, False))
     assert [evidence.errors(lambda *_: '')[at].stamp for at in (0, -1)] == [951, 1000]
     assert len(evidence.errors(lambda *_: '')) == 50
     assert len(evidence.incidents) == 1000 and evidence.incidents[0].stamp == 1
-    assert evidence.counts[ev.ALERT] == evidence.noted == 1001
-    assert [one.stamp for one in evidence.newest(2)] == [999, 1000]
-    assert len(evidence.newest(2000)) == 1000
-    assert evidence.newest(0) == ()
+    assert evidence.counts[ev.ALERT] == evidence.incidents_added == 1001
+    assert [one.stamp for one in evidence.newest_incidents(2)] == [999, 1000]
+    assert len(evidence.newest_incidents(2000)) == 1000
+    assert evidence.newest_incidents(0) == ()
     assert [one.stamp for one in evidence.waits] == list(range(745, 1001))
 
 
@@ -103,7 +103,7 @@ def test_what_may_come_with_each_packet_is_kept_once_in_a_while():
     evidence = Evidence()
     stamps = (0, ev._APART_NS - 1, ev._APART_NS, 2 * ev._APART_NS - 1)
     for stamp in stamps:
-        evidence.note_often(stamp, ev.PROTOCOL_1, 1, ev.Code(2))
+        evidence.add_frequent(stamp, ev.PROTOCOL_1, 1, ev.Code(2))
     assert [one.stamp for one in evidence.incidents] == [0, ev._APART_NS]
     assert evidence.counts[ev.PROTOCOL_1] == 4
 
@@ -119,7 +119,7 @@ def test_what_may_come_with_each_packet_is_kept_once_in_a_while():
 def test_a_damaged_frame_is_noted_by_what_is_wrong(kind, code, reason, expected, side):
     evidence = Evidence()
     flaw = Flaw(reason, length=259)
-    evidence.note_damage(1, (0, 9, kind, 7, code, b'', flaw), flaw, side)
+    evidence.add_damage(1, (0, 9, kind, 7, code, b'', flaw), flaw, side)
     [found] = evidence.incidents
     assert (found.kind, found.device, found.detail) == expected
 
@@ -138,7 +138,7 @@ def packet_1(number, size):
 ])
 def test_packets_of_protocol_1_in_noise(noise, fresh, devices):
     evidence = Evidence()
-    evidence.look_at_noise(noise, fresh, 5)
+    evidence.search_noise(noise, fresh, 5)
     assert [(one.stamp, one.kind, one.device, one.detail) for one in evidence.incidents] \
         == [(5, ev.PROTOCOL_1, number, ev.Code(0)) for number in devices]
 
@@ -160,12 +160,12 @@ def test_counts_of_a_window_and_their_loss():
 @pytest.mark.parametrize(('after_ns', 'is_late'), [(99_999_999, True), (100_000_000, False)])
 def test_an_answer_is_owed_for_a_tenth_of_a_second(after_ns, is_late):
     device = Device(1)
-    assert not device.pays(0)
-    device.miss(5 * S, 5 * S, False)
-    device.miss(5 * S, 5 * S + 99_999_999, False)
+    assert not device.accept_late_reply(0)
+    device.count_missed(5 * S, 5 * S, False)
+    device.count_missed(5 * S, 5 * S + 99_999_999, False)
     assert device.owed == 2
-    assert device.pays(5 * S + 99_999_999 + after_ns) is is_late
-    device.miss(6 * S, 6 * S, True)
+    assert device.accept_late_reply(5 * S + 99_999_999 + after_ns) is is_late
+    device.count_missed(6 * S, 6 * S, True)
     assert device.owed == 0                        # long ago, and this one came damaged
     assert (device.missed_in_a_row, device.counts.missed, device.counts.spoilt) == (3, 3, 1)
 
@@ -174,11 +174,11 @@ def test_an_answer_is_owed_for_a_tenth_of_a_second(after_ns, is_late):
 def test_an_absence_is_noted_from_50_ms_on(away_ms, is_noted):
     one = registry(Expected(4, 'XL430-W250'))
     device = one.device(4)
-    one.heard(device, 0, S)
+    one.accept_status(device, 0, S)
     device.table.store(64, b'\1', S, READ)
-    one.heard(device, 0, 2 * S)                    # it was not asked: no absence
-    device.miss(2 * S, 2 * S, False)
-    one.heard(device, 0, 2 * S + int(away_ms * MS))
+    one.accept_status(device, 0, 2 * S)                    # it was not asked: no absence
+    device.count_missed(2 * S, 2 * S, False)
+    one.accept_status(device, 0, 2 * S + int(away_ms * MS))
     assert notes(one) == [(ev.RETURNED, 4, ev.SilentFor(50, 1, 1))] * is_noted
     assert device.missed_in_a_row == 0
 
@@ -194,31 +194,31 @@ def test_an_id_that_no_device_can_have_gets_none():
     assert list(one.devices) == [252]
     assert [one.is_impossible(number) for number in (252, 253, 254, 255)] \
         == [False, True, False, True]
-    one.told_error(253, 30, 1, S)
+    one.store_error_bits(253, 30, 1, S)
     assert list(one.devices) == [252]
-    one.told_error(251, 30, 1, S)
+    one.store_error_bits(251, 30, 1, S)
     assert one.devices[251].table.byte(30) == 1
 
 
 def test_who_says_the_same_of_himself_again_stays_who_he_is():
     one = registry()
-    changes = []
-    one.changed = lambda: changes.append(1)
-    device = one.device(4)
+    device, outdated = one.device(4), []
     for data in (b'\x24\x04\x2e', b'\x24\x04\x2e'):
-        device.pinged(NO_SPAN, data, S, READ)
+        device.accept_pong(NO_SPAN, data, S, READ)
         one.resolve(device)
-    assert (device.counts.pongs, len(changes), device.firmware) == (2, 1, 0x2e)
+        outdated.append(not one.plans_hold)
+        one.plans_hold = True
+    assert (device.counts.pongs, outdated, device.firmware) == (2, [True, False], 0x2e)
     device.table.store(132, bytes(4), S, READ)
-    device.pinged(NO_SPAN, b'\x24\x04\x2f', S, READ)                # new firmware
+    device.accept_pong(NO_SPAN, b'\x24\x04\x2f', S, READ)                # new firmware
     one.resolve(device)
-    assert (len(changes), device.firmware, notes(one)) == (2, 0x2f, [])
+    assert (one.plans_hold, device.firmware, notes(one)) == (False, 0x2f, [])
     assert device.table.byte(132) == 0
-    device.pinged(NO_SPAN, b'\x37\x01\x2f', S, READ)                # another servo
+    device.accept_pong(NO_SPAN, b'\x37\x01\x2f', S, READ)                # another servo
     one.resolve(device)
     assert device.model_number == 0x137
     assert (device.counts.model_changes, device.table.byte(132)) == (1, None)
-    device.pinged(NO_SPAN, b'', S, READ)
+    device.accept_pong(NO_SPAN, b'', S, READ)
     device.identify(b'\x38\x01', S)           # it was read
     assert device.counts.pongs == 5
 
@@ -285,7 +285,7 @@ def due(level, asked, write_acks='auto', acks=None, missing=0, missed=0):
     device.return_level, device.acks = level, acks
     device.acks_missing, device.missed_in_a_row = missing, missed
     duty = ReplyPolicy(write_acks, 4, one, one._evidence)
-    return duty.is_due(Slot(device, asked, 0, 0, take_nothing))
+    return duty.is_due(Slot(device, asked, 0, 0, ignore_data))
 
 
 @pytest.mark.parametrize(('parts', 'expected'), [
@@ -303,12 +303,12 @@ def test_whether_an_answer_had_to_come(parts, expected):
 def test_the_first_miss_and_the_one_over_the_limit_are_noted():
     one = registry()
     plan = Plan(Request(I.READ, 3, Answers.DATA, (Access(3, 132, 4, b''),)), {})
-    slot = Slot(one.device(3), Due.READ, 132, 4, take_nothing)
+    slot = Slot(one.device(3), Due.READ, 132, 4, ignore_data)
     for turn in range(7):
-        ReplyPolicy('auto', 4, one, one._evidence).judge(
+        ReplyPolicy('auto', 4, one, one._evidence).judge_question(
             OpenQuestion(plan, [slot], set(), False), turn, turn)
     assert notes(one) == [(ev.MISSED, 3, ev.Unanswered(I.READ, 132)),
-                          (ev.DISCONNECTED, 3, ev.Much(5))]
+                          (ev.DISCONNECTED, 3, ev.Count(5))]
     assert [note.stamp for note in one._evidence.incidents] == [0, 4]
     assert (plan.missed, one.device(3).counts.data_missed) == (7, 7)
 
@@ -324,7 +324,7 @@ def test_an_answer_is_given_up_behind_an_idle_line_of_more_than_a_second(idle_ns
 def plan_of(*numbers):
     return Plan(Request(I.SYNC_READ, 254, Answers.DATA, tuple(
         Access(number, 132, 4, b'') for number in numbers)), {
-            number: Slot(Device(number), Due.READ, 132, 4, take_nothing) for number in numbers})
+            number: Slot(Device(number), Due.READ, 132, 4, ignore_data) for number in numbers})
 
 
 @pytest.mark.parametrize(('silent', 'spoke', 'expected'), [
@@ -340,7 +340,7 @@ def test_who_had_its_turn(silent, spoke, expected):
 
 def test_plans_are_counted_and_forgotten_without_losing_counts():
     one = registry()
-    planner = Planner(one, one._evidence, lambda *_: None)
+    planner = Planner(one, one._evidence)
     read = (INSTRUCTION_2, 3, int(I.READ), b'\x84\0\4\0')
     plan = planner.plan_for(read, S)
     assert planner.plan_for(read, S) is plan
@@ -359,7 +359,7 @@ def test_plans_are_counted_and_forgotten_without_losing_counts():
 
 def test_an_answer_is_looked_for_in_the_first_64_plans():
     one = registry()
-    planner = Planner(one, one._evidence, lambda *_: None)
+    planner = Planner(one, one._evidence)
     for number in range(65):
         planner.plan_for((INSTRUCTION_2, number, int(I.READ), b'\x84\0\4\0'), S)
     assert [planner.has_answer(number, 4) for number in (0, 63, 64)] == [True, True, False]
@@ -367,7 +367,7 @@ def test_an_answer_is_looked_for_in_the_first_64_plans():
 
 def test_64_lists_of_sync_writes_are_kept():
     one = registry()
-    planner = Planner(one, one._evidence, lambda *_: None)
+    planner = Planner(one, one._evidence)
     for number, kept in ((62, 63), (63, 64), (63, 64), (64, 1)):
         for other in range(63 if number == 62 else 0):
             planner._sync_write(b'\x74\0\1\0' + bytes([other, 7]), S)
@@ -386,7 +386,7 @@ def test_what_a_master_did_not_stuff_is_noted(data, detail, noise):
     tracker = Tracker(one, one._evidence, 5_000, 4, 'auto')
     framer = Framer()
     wire = noise + encode(3, 3, b'\x74\0' + data, stuffed=False) + encode(3, STATUS, error=0)
-    tracker.track(framer.frames(wire), S, framer.bytes)
+    tracker.process_frames(framer.frames(wire), S, framer.bytes)
     plain = data.replace(b'\xfd\xfd', b'\xfd')
     assert one.device(3).table.bytes(116, len(plain)) == plain
     assert notes(one) == [(ev.UNSTUFFED, 3, code) for code in detail]

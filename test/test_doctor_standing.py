@@ -20,7 +20,7 @@ from servobus.doctor import Doctor
 from servobus.doctor import RULES
 from servobus.doctor.case import History
 
-LOST = tuple(note(ev.SOURCE_LOST, ev.Much(3), 1))
+LOST = tuple(note(ev.SOURCE_LOST, ev.Count(3), 1))
 MANY_LOST = '3 USB events or bytes were lost'
 
 

@@ -322,7 +322,7 @@ class Told(Detector):
         super().__init__()
         self._believes_all = believes_all
 
-    def proves(self, one, is_whole):
+    def add_candidate(self, one, is_whole):
         if self._believes_all:
             one.framer.claim(one.frame)
         return self._believes_all

@@ -128,7 +128,7 @@ servo = FakeDevice(1, models.by_name('MX-64'))
 def ask(instruction, params=b''):
     reply = servo.execute(instruction, params, 0)
     wire = encode(1, instruction, params) + encode(1, 0x55, reply.params, reply.error)
-    bus.hear(wire, 1)
+    bus.process_chunk(wire, 1)
     return reply
 ask(1)
 ask(2, b'\\x84\\0\\4\\0')

@@ -42,7 +42,7 @@ def named(model, program, left_out):
               and not LEFT_OUT[left_out](one, model)]
     used = [(field.at, field.size) for name in PROGRAMS[program]
             if (field := model.by_name.get(name))]
-    found = layout.agreed(tables, used)
+    found = layout.agreed_model(tables, used)
     result = Counter()
     for at, _ in used:
         truth, said = model.by_address[at], found.by_address.get(at)
@@ -74,7 +74,7 @@ def test_no_register_is_named_wrongly(left_out, least):
     Path(__file__).with_name('layouts.tsv')))
 def test_a_use_says_which_registers_those_are(protocol, used, name, position):
     orders = {'little': layout.LITTLE, 'big': layout.BIG}
-    found = ALL.of(protocol, frozenset(
+    found = ALL.find_layout(protocol, frozenset(
         orders.get(one) or tuple(map(int, one.split('+'))) for one in used.split()))
     said = found.by_name.get('Present Position')
     assert (found.name, said.key if said else '') == (name, position)

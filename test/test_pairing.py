@@ -62,6 +62,6 @@ def test_what_is_heard_and_known(name):
                 if entry == 'idle':
                     bus.idle()
                 elif entry == 'silence':
-                    bus.tracker.settle(bus.now + 10**9)
+                    bus.tracker.stop_waiting(bus.now + 10**9)
                 else:
                     bus.hear(*packets(entry))

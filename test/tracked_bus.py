@@ -44,10 +44,10 @@ class Bus:
         for packet in packets:
             self.now += gap_ns
             frames = self.framer.frames(packet)
-            self.tracker.track(frames, self.now, self.framer.bytes)
+            self.tracker.process_frames(frames, self.now, self.framer.bytes)
 
     def idle(self):
-        self.tracker.track(self.framer.flush_frames(), self.now, self.framer.bytes)
+        self.tracker.process_frames(self.framer.flush_frames(), self.now, self.framer.bytes)
 
     def device(self, number):
         device = self.registry.devices[number]

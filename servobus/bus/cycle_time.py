@@ -31,17 +31,17 @@ from servobus.bus.plan import Plan
 from servobus.bus.report import CycleTimes
 
 PARTS = ('cycle', 'cycle_wire', 'cycle_device', 'cycle_waiting', 'cycle_program')
-AT_ONCE_NS = 50_000
-ENOUGH = 4                         # repetitions
-FRESH_NS = 3_000_000_000
-ALIKE = 0.1                        # share of a period: two instructions of one cycle
-EVEN = 0.25                        # spread of repetitions that a clock paces
-TIMES = 4                          # more often in one cycle nothing is asked
-SHORT = 0.4                        # share of the mean: asked again in the same cycle
-WHOLE = 0.05                       # share of a ratio: from the next whole number
-BLURRED = 0.01                     # share of the cycle
-LOOKED_AT = 32                     # instructions
-LONG = 10                          # times the usual cycle: a pause
+VAIN_WAIT_MIN_NS = 50_000
+REPETITIONS_NEEDED = 4                         # repetitions
+LOOP_GOES_ON_NS = 3_000_000_000
+SAME_PERIOD_SHARE = 0.1                        # share of a period: two instructions of one cycle
+PACED_SPREAD = 0.25                        # spread of repetitions that a clock paces
+TIMES_A_CYCLE_END = 4                          # more often in one cycle nothing is asked
+SHORT_GAP_SHARE = 0.4                        # share of the mean: asked again in the same cycle
+WHOLE_RATIO_SHARE = 0.05                       # share of a ratio: from the next whole number
+BLURRED_MIN_SHARE = 0.01                     # share of the cycle
+INSTRUCTIONS_COMPARED = 32                     # instructions
+PAUSE_MIN_PERIODS = 10                          # times the usual cycle: a pause
 NO_SIDES = 'this source does not say who sent what'
 NO_RATE = 'the baud rate is unknown'
 
@@ -63,15 +63,16 @@ class Pace(NamedTuple):
         not answer.
         """
         ratio = self.period / other.period
-        is_whole = abs(ratio - round(ratio)) < WHOLE * ratio <= WHOLE * TIMES
+        is_whole = ratio <= TIMES_A_CYCLE_END \
+            and abs(ratio - round(ratio)) < WHOLE_RATIO_SHARE * ratio
         if is_mostly_missed(other.plan):
             return is_whole and not is_mostly_missed(self.plan)
-        return other.spread > max(EVEN, 2 * self.spread) and (is_whole or ratio < 2)
+        return other.spread > max(PACED_SPREAD, 2 * self.spread) and (is_whole or ratio < 2)
 
     def is_group(self, one: Pace) -> bool:
         """Tell whether this is the pace of groups of a question that is asked at that pace."""
-        return one.shortest < SHORT * one.period \
-            and TIMES * self.spread * self.period < one.spread * one.period
+        return one.shortest < SHORT_GAP_SHARE * one.period \
+            and TIMES_A_CYCLE_END * self.spread * self.period < one.spread * one.period
 
 
 def is_mostly_missed(plan: Plan) -> bool:
@@ -82,10 +83,10 @@ def is_mostly_missed(plan: Plan) -> bool:
 def pace_of(plan: Plan, times: int = 1) -> Pace | None:
     """Return how each so many repetitions of an instruction follow, None if they are too few."""
     stamps = [*plan.stamps]
-    if len(stamps) < ENOUGH * times:
+    if len(stamps) < REPETITIONS_NEEDED * times:
         return None
     gaps = sorted(map(sub, stamps[times:], stamps))
-    usual = gaps[:bisect_left(gaps, LONG * gaps[3 * len(gaps) // 4])]
+    usual = gaps[:bisect_left(gaps, PAUSE_MIN_PERIODS * gaps[3 * len(gaps) // 4])]
     if sum(usual) <= 0:                # the clock was set, or all came in one chunk
         return None
     edge, period = len(usual) // 10, sum(usual) / len(usual)
@@ -94,16 +95,17 @@ def pace_of(plan: Plan, times: int = 1) -> Pace | None:
 
 def control_loop(plans: Iterable[Plan], now: int) -> list[Pace]:
     """Return what is asked once in each turn of the fastest loop that goes on, or often in it."""
-    often = sorted([plan for plan in plans if plan.stamps and now - plan.stamps[-1] < FRESH_NS],
+    often = sorted([plan for plan in plans
+                    if plan.stamps and now - plan.stamps[-1] < LOOP_GOES_ON_NS],
                    key=attrgetter('asked'))
-    found = sorted([one for one in map(pace_of, often[-LOOKED_AT:]) if one],
+    found = sorted([one for one in map(pace_of, often[-INSTRUCTIONS_COMPARED:]) if one],
                    key=attrgetter('period'))
     for at, first in enumerate(found):
-        alike = [one for one in found[at:] if one.period <= (1 + ALIKE) * first.period]
+        alike = [one for one in found[at:] if one.period <= (1 + SAME_PERIOD_SHARE) * first.period]
         if len(alike) > 1:
             return alike
         if not any(one.contains(first) for one in found[at + 1:]):
-            groups = [one for times in range(2, TIMES)
+            groups = [one for times in range(2, TIMES_A_CYCLE_END)
                       if (one := pace_of(first.plan, times)) and one.is_group(first)]
             return groups[:1] or alike
     return []
@@ -138,8 +140,8 @@ class CycleClock:
         self._wire = self._device = self._program = self._traced = self._asleep = 0.0
         self._waiting: defaultdict[int, float] = defaultdict(float)
 
-    def note(self, change: Change, stamp: int) -> None:
-        """Take note of what a source says of the program; each is ahead of its bytes."""
+    def process_change(self, change: Change, stamp: int) -> None:
+        """Note what a source says of the program; each is ahead of its bytes."""
         what, ns = change.what, 1000 * change.value
         if what == GAVE_UP:
             self._gave_up = ns
@@ -151,12 +153,14 @@ class CycleClock:
             self._busy = self._busy or Rate()
             self._busy.add(ns, stamp)
 
-    def write(self, began: int, wire_ns: float, awaited: Collection[int], is_missed: bool) -> None:
+    def add_write(self, began: int, wire_ns: float, awaited: Collection[int],
+                  is_missed: bool) -> None:
         """Take bytes of the master; awaited: IDs without an answer; is_missed: it was due."""
         rest = max(0.0, began - self._last) if self._last else 0.0
         if self._gave_up >= 0 or (awaited and is_missed):
             vain = max(0.0, rest - max(0, self._gave_up))
-            if vain < AT_ONCE_NS and 0 <= self._gave_up <= rest:    # bytes came when time was up
+            # Bytes came when time was up.
+            if vain < VAIN_WAIT_MIN_NS and 0 <= self._gave_up <= rest:
                 vain, rest = (one + self._gap + self._late for one in (vain, rest))
                 self._device -= self._gap
                 self._program -= self._late
@@ -176,15 +180,15 @@ class CycleClock:
         self._gap = self._late = 0.0
         self._last += int(wire_ns)
 
-    def ask(self, plan: Plan, began: int, wire_ns: float) -> None:
-        """Take note that the last write completed an instruction, after write()."""
+    def add_instruction(self, plan: Plan, began: int, wire_ns: float) -> None:
+        """Note that the last write completed an instruction, after add_write()."""
         if plan is not self._leader or not wire_ns:    # it is unknown
             return
         began = max(began, self._last - int(wire_ns))
         if began - self._began < self._least:
             return
         self._wire -= wire_ns                  # it belongs to the cycle that begins
-        if self._began and began - self._began < LONG * self._period:
+        if self._began and began - self._began < PAUSE_MIN_PERIODS * self._period:
             self._add(began)
         self._start_cycle(began)
         self._wire = wire_ns
@@ -199,7 +203,7 @@ class CycleClock:
         for number, ns in self._waiting.items():
             self._waits[number].add(ns, now)
 
-    def answer(self, stamp: int, wire_ns: float) -> None:
+    def add_received(self, stamp: int, wire_ns: float) -> None:
         """Take bytes that came to the master."""
         if self._last:
             on_wire = min(wire_ns, max(0, stamp - self._last))
@@ -212,7 +216,7 @@ class CycleClock:
             self._device += self._gap
             self._last = max(stamp, self._last)
 
-    def choose(self, plans: Iterable[Plan], now: int) -> None:
+    def choose_leader(self, plans: Iterable[Plan], now: int) -> None:
         """Look for the instruction that begins each cycle."""
         alike = control_loop(plans, now)
         before, self._period = self._period, alike[0].period if alike else 0.0
@@ -221,8 +225,8 @@ class CycleClock:
                       or bool(least) is not bool(self._least)):
             self._leader = alike[0].plan
             self._began = 0
-            if abs(before - self._period) > ALIKE * self._period:      # it was another loop
-                self.reset()
+            if abs(before - self._period) > SAME_PERIOD_SHARE * self._period:
+                self.reset()                   # it was another loop
         self._least = least
 
     def metrics(self, now: int, bus: str) -> list[Metric]:
@@ -246,6 +250,6 @@ class CycleClock:
         slept = self._sleeps.summary(now)
         return CycleTimes(cycle, wire, device, program, tracer, tuple(sorted(
             ((number, round(rate * share, 3)) for number, rate in rates.items() if rate),
-            key=lambda one: -one[1])), blurred > BLURRED * cycle,
+            key=lambda one: -one[1])), blurred > BLURRED_MIN_SHARE * cycle,
             asleep=round(slept.mean, 3) if slept else 0.0,
             busy=round(self._busy.per_second(now) / 1e9 * cycle, 3) if self._busy else None)

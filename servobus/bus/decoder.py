@@ -38,20 +38,18 @@ from servobus.bus.dialect import DialectChoice
 from servobus.bus.dxl1_classifier import AnyFramer
 from servobus.bus.dxl1_classifier import Dxl1Classifier
 from servobus.bus.dxl1_classifier import Parts
-from servobus.bus.dxl1_classifier import SLOW_NS
+from servobus.bus.dxl1_classifier import REPLY_LATE_NS
 from servobus.bus.echo import EchoCounter
 from servobus.bus.evidence import Evidence
 from servobus.bus.expected import Expected
 from servobus.bus.registry import DeviceRegistry
 from servobus.bus.report import CycleTimes
 from servobus.bus.report import PROTOCOL_2
-from servobus.bus.report import Wait
 from servobus.bus.tracker import Tracker
-from servobus.bus.unread import AT_ONCE_NS
 from servobus.model.models import Models
 
 PROTOCOLS = ('auto', '2', '1', 'feetech')
-ANSWER_NS = 1_000_000_000          # a broadcast Ping may take 0.8 s; nothing pending takes longer
+ANSWER_MAX_NS = 1_000_000_000  # a broadcast Ping may take 0.8 s; nothing pending takes longer
 
 
 class Settings(NamedTuple):
@@ -87,64 +85,64 @@ class BusDecoder:
         self.clock = CycleClock()
         self.registry = DeviceRegistry(models, settings.devices, settings.baud, self.evidence)
         self.choice = DialectChoice(models, settings.protocol)
-        self.choice.expect(device.dialect for device in self.registry.devices.values())
+        self.choice.vote_by_devices(device.dialect for device in self.registry.devices.values())
         self.registry.dialect = self.choice.dialect
         self.detector = Detector() if settings.protocol == 'auto' else None
         self.classifier = None if settings.protocol == '2' else Dxl1Classifier(
             self.registry, self.evidence, self.choice, self.detector, self.byte_ns)
-        self.framers = {UNKNOWN: self._new_framer(UNKNOWN)}     # by the side that they hear
+        self.framers: dict[str, AnyFramer] = {}        # by the side that they hear
+        self._new_framer(UNKNOWN)
         self.tracker = Tracker(self.registry, self.evidence, self.byte_ns, settings.missed_limit,
                                settings.write_acks)
-        self.expect_delay(settings.latency_timer_ms)
+        self.set_latency_timer(settings.latency_timer_ms)
 
-    def expect_delay(self, latency_timer_ms: float) -> None:
+    def set_latency_timer(self, latency_timer_ms: float) -> None:
         """Say how long the adapter may keep bytes back: so long a pause is not silence."""
         self.settings = self.settings._replace(latency_timer_ms=latency_timer_ms)
         self.idle_ns = int(1e9 * idle_s(self.settings.baud, latency_timer_ms))
         if self.classifier is not None:
-            self.classifier.slow_ns = SLOW_NS + int(1e6 * latency_timer_ms)
+            self.classifier.slow_ns = REPLY_LATE_NS + int(1e6 * latency_timer_ms)
 
     def _new_framer(self, side: str) -> AnyFramer:
+        framer: AnyFramer = dxl1_packet.Dxl1Framer()
         if self.detector is not None:
-            return MixedFramer(self.detector, bool(side), side)
-        return Framer() if self.classifier is None else dxl1_packet.Dxl1Framer()
+            framer = MixedFramer(self.detector, bool(side), side)
+        elif self.classifier is None:
+            framer = Framer()
+        self.framers[side] = framer
+        return framer
 
-    def hear(self, chunk: bytes, stamp: int, side: str = UNKNOWN) -> None:
+    def process_chunk(self, chunk: bytes, stamp: int, side: str = UNKNOWN) -> None:
         """
         Take a chunk. Each side has a framer of its own, so an order of chunks is one of frames.
 
         stamp: when its last byte had come in; of the side OUT, when it was written.
         """
-        framer = self.framers.get(side)
-        if framer is None:
-            framer = self.framers[side] = self._new_framer(side)
+        framer = self.framers.get(side) or self._new_framer(side)
         if side:
             wire_ns = len(chunk) * self.byte_ns
             if side == OUT:
-                self._turn(stamp)
-                self.echo.send(chunk)
-                awaited, wait = self.tracker.slots, self._last_wait()
+                self._end_reply(stamp)
+                self.echo.process_sent(chunk)
+                awaited, waited = self.tracker.slots, self.evidence.waits_added
                 stamp += int(wire_ns)
             else:
-                self.echo.hear(chunk)
+                self.echo.process_received(chunk)
                 self._last_in = stamp
-                self.clock.answer(stamp, wire_ns)
+                self.clock.add_received(stamp, wire_ns)
         framer.stamp = stamp
         frames = framer.frames(chunk)
         if framer.has_other:
-            self._read(framer, frames, stamp, side)
+            self._classify(framer, frames, stamp, side)
         else:
-            self.take(frames, stamp, framer.bytes, side)
-        if side == OUT:
+            self.process_frames(frames, stamp, framer.bytes, side)
+        if side and side == OUT:               # most chunks have no side
             began = stamp - int(wire_ns)
-            self.clock.write(began, wire_ns, awaited, self._last_wait() is not wait)
+            self.clock.add_write(began, wire_ns, awaited, self.evidence.waits_added != waited)
             if self.tracker.asked == stamp:
-                self.clock.ask(self.tracker.pending, began, wire_ns)
+                self.clock.add_instruction(self.tracker.pending, began, wire_ns)
 
-    def _last_wait(self) -> Wait | None:
-        return self.evidence.waits[-1] if self.evidence.waits else None
-
-    def _turn(self, stamp: int) -> None:
+    def _end_reply(self, stamp: int) -> None:
         """Decide an answer that stopped on its way, before what the master says next is taken."""
         framer = self.framers.get(IN)
         if framer is None:
@@ -152,125 +150,122 @@ class BusDecoder:
         plan, came = self.tracker.pending, framer.bytes - self.tracker.quiet_from
         if framer.pending and (stamp - self._last_in > self.idle_ns or came >= plan.answers_size):
             self._flush(IN, framer, self._last_in)
-        self._note_noise(framer)
-        self.tracker.unread.end_answer(plan, came, framer.noise_length > 0)
+        self._report_noise(framer)
+        self.tracker.unread.count_overlong_reply(plan, came, framer.noise_length > 0)
         self.tracker.quiet_from = framer.bytes - framer.pending
-        self.tracker.unread.expire(stamp, self.byte_ns)
+        self.tracker.unread.judge_expired(stamp, self.byte_ns)
 
-    def _note_noise(self, framer: AnyFramer) -> None:
-        """Take note of what the master received that is no packet, before it goes on."""
-        self.tracker.hear_noise(framer.noise_bytes - self._noise_in)
+    def _report_noise(self, framer: AnyFramer) -> None:
+        """Note what the master received that is no packet, before it goes on."""
+        self.tracker.process_noise(framer.noise_bytes - self._noise_in)
         self._noise_in = framer.noise_bytes
 
     def _flush(self, side: str, framer: AnyFramer, stamp: int) -> None:
         framer.stamp = stamp
-        self._read(framer, framer.flush_frames(), stamp, side)
+        self._classify(framer, framer.flush_frames(), stamp, side)
 
-    def _read(self, framer: AnyFramer, frames: Frames, stamp: int, side: str) -> None:
+    def _classify(self, framer: AnyFramer, frames: Frames, stamp: int, side: str) -> None:
         """Hand on what a framer found, once it is known what it means."""
         if self.classifier is None:
-            self.take(frames, stamp, framer.bytes, side)
+            self.process_frames(frames, stamp, framer.bytes, side)
             return
-        self._take_parts(self.classifier.read(framer, frames, stamp, side))
+        self._process_parts(self.classifier.classify(framer, frames, stamp, side))
 
-    def _take_parts(self, parts: Parts) -> None:
+    def _process_parts(self, parts: Parts) -> None:
         for part in parts:
             if part is None:
-                self.registry.speak(self.choice.dialect)
+                self.registry.set_dialect(self.choice.dialect)
             else:
-                self.take(*part)
+                self.process_frames(*part)
 
-    def take(self, frames: Frames, stamp: int, received: int, side: str = UNKNOWN) -> None:
+    def process_frames(self, frames: Frames, stamp: int, received: int,
+                       side: str = UNKNOWN) -> None:
         """Take what a framer found in the chunk of this stamp, which ends at offset received."""
-        self.tracker.track(frames, stamp, received, side)
+        self.tracker.process_frames(frames, stamp, received, side)
 
-    def pause(self, last: int, now: int) -> None:
+    def process_pause(self, last: int, now: int) -> None:
         """
-        Take note that nothing came from `last` to `now`.
+        Note that nothing came from `last` to `now`.
 
         For a while that may be the delivery: then the next chunk decides what is pending. After
         longer than any answer takes it is the line.
         """
-        if now - last > ANSWER_NS:
+        if now - last > ANSWER_MAX_NS:
             for side, framer in self.framers.items():
                 if framer.pending:
                     self._flush(side, framer, last)
-            self._settle()
-            if not self.tracker.unread.stamp:          # else the program may not have read it
-                self.tracker.settle(now)
+            self._confirm_waiting()
+            if not self.tracker.unread.reported_ns:    # else the program may not have read it
+                self.tracker.stop_waiting(now)
         elif now - last > self.idle_ns:
-            self._settle()
+            self._confirm_waiting()
             for framer in self.framers.values():
                 framer.interrupt()
 
-    def _settle(self) -> None:
+    def _confirm_waiting(self) -> None:
         """Take what waited for the next frame: the line is idle."""
         if self.classifier is not None:
-            self._take_parts(self.classifier.settle())
+            self._process_parts(self.classifier.confirm_waiting())
 
-    def change(self, change: Change, stamp: int) -> None:
+    def process_change(self, change: Change, stamp: int) -> None:
         """Take what a source reported besides bytes."""
         what, value = change
-        self.clock.note(change, stamp)
+        self.clock.process_change(change, stamp)
         if what == BAUD and value != self.settings.baud:
             self._set_baud(value, stamp)
         elif what == LATENCY_TIMER:
-            self.expect_delay(value)
+            self.set_latency_timer(value)
         elif what == NOT_SENT:
-            self.tracker.not_sent(stamp)
+            self.tracker.drop_unsent(stamp)
         elif what == UNREAD:
             received = self.framers[IN].bytes if IN in self.framers else 0
-            self.tracker.unread.say(value, received, stamp)
-            self.echo.wait(value)
+            self.tracker.unread.report_waiting(value, received, stamp)
+            self.echo.count_waiting(value)
         elif what == PURGED:
             if value & 1:
                 self._purge(stamp)
-            if value & 2 and stamp < self.tracker.asked + AT_ONCE_NS:
-                self.tracker.unread.unsent = self.tracker.asked
+            if value & 2:
+                self.tracker.unread.report_unsent(self.tracker.asked, stamp)
         elif what == GAVE_UP:
-            self.tracker.unread.look(stamp - 1000 * value)
+            self.tracker.unread.report_vain_read(stamp - 1000 * value)
         elif what == AWAY:
-            self.tracker.look_away(value, stamp)
+            self.tracker.discount_latency(value, stamp)
         elif what in (CLOSED, GONE, LOST):
-            self._end(stamp, value if what == LOST else 0)
+            self._end_stream(stamp, value if what == LOST else 0)
 
     def _purge(self, stamp: int) -> None:
-        """Take note that the program threw away what waited."""
-        tracker = self.tracker
-        self._leave(stamp)
-        tracker.unread.purge(tracker.pending, tracker.slots, tracker.asked, tracker.quiet_from,
-                             stamp)
+        """Note that the program discarded what waited."""
+        self._discard_unread(stamp)
+        self.tracker.accept_purge(stamp)
 
-    def _leave(self, stamp: int) -> None:
-        """Take note that the program does not read what waits: an answer may have lost its end."""
+    def _discard_unread(self, stamp: int) -> None:
+        """Note that the program does not read what waits: an answer may have lost its end."""
         unread, framer = self.tracker.unread, self.framers.get(IN)
-        self.echo.drop(unread.waiting, bool(self.tracker.slots))
-        unread.dropped += unread.waiting
+        self.echo.process_discarded(unread.waiting, bool(self.tracker.slots))
+        unread.discarded += unread.waiting
         if unread.waiting and framer is not None and framer.pending:
-            until, unread.until = unread.until, 0
             self._flush(IN, framer, stamp)
-            unread.until = until
 
-    def _end(self, stamp: int, lost: int = 0) -> None:
+    def _end_stream(self, stamp: int, lost: int = 0) -> None:
         """Take what is left as whole; what comes now has nothing to do with it."""
-        self._leave(stamp)
+        self._discard_unread(stamp)
         for side, framer in self.framers.items():
             self._flush(side, framer, stamp)
-        self._settle()
+        self._confirm_waiting()
         if IN in self.framers:
-            self._note_noise(self.framers[IN])
+            self._report_noise(self.framers[IN])
         self.tracker.lose_track(stamp, lost)
         self.clock.interrupt()
 
     def _set_baud(self, baud: int, stamp: int) -> None:
         """Begin on a new wire: what was on the other one is over, and no damage here."""
-        self._end(stamp)
+        self._end_stream(stamp)
         self.settings = self.settings._replace(baud=baud)
         self.byte_ns = self.tracker.byte_ns = byte_ns(baud)
         if self.classifier is not None:
             self.classifier.byte_ns = self.byte_ns
         self.registry.set_baud(baud)
-        self.expect_delay(self.settings.latency_timer_ms)
+        self.set_latency_timer(self.settings.latency_timer_ms)
 
     def protocol(self) -> str:
         """Return what was heard here, in words: 'Dynamixel 2.0, Feetech'; '' for nothing yet."""

@@ -27,22 +27,22 @@ from servobus.bus.table import Table
 from servobus.model.control_table import Field
 from servobus.model.control_table import Model
 from servobus.model.control_table import UNKNOWN
-from servobus.model.layout import LONGEST
 from servobus.model.layout import orders_of
 from servobus.model.layout import POSITIONS_AT
 from servobus.model.layout import Use
+from servobus.model.layout import USE_MAX_BYTES
 
 WINDOW_S = 10
 RESOLVED_NEEDED = 0.2              # the share of answers that makes a latency worth a figure
-OWED_NS = 100_000_000              # no servo takes as long: its Return Delay Time ends at 0.5 ms
+LATE_REPLY_NS = 100_000_000        # no servo takes as long: its Return Delay Time ends at 0.5 ms
 _ERRORS_KEPT = 64                  # distinct (instruction, address, error)
 RETURN_LEVEL = 'Status Return Level'
 OFFSET = 'Homing Offset'
 TORQUE = 'Torque Enable'
 _SPECIAL = ('ID', 'Baud Rate', RETURN_LEVEL)
-_OF_FEETECH = (OFFSET, TORQUE)     # how it is calibrated
+_CALIBRATING = (OFFSET, TORQUE)     # how it is calibrated
 _USES_KEPT = 64
-_SLOWER_NS = 3_000_000             # by Return Delay Time 0.5 ms, and as much as USB adds
+_REPLY_SPREAD_NS = 3_000_000             # by Return Delay Time 0.5 ms, and as much as USB adds
 _NUMBER_SIZE = 2                   # bytes: Model Number
 
 
@@ -53,32 +53,26 @@ class Device:
     | attributes | who writes them |
     |---|---|
     | number, joint, expected | DeviceRegistry, where a device is new or an ID was written |
-    | model, model_number, firmware, followed_end | DeviceRegistry.resolve(), become(): the \
+    | model, model_number, firmware, followed_end | DeviceRegistry.resolve(), set_model(): the \
     model that it said it is; no write from followed_end on changes what it is or does |
-    | dialect | DeviceRegistry.speaks(): that of the 1.0 family; None with Protocol 2.0 |
+    | dialect | DeviceRegistry.set_device_dialect(): that of the 1.0 family; None with 2.0 |
     | identity, identity_stamp, is_unresolved | identify(): what it said it is, as bytes; the \
     model of that was not looked up yet |
-    | return_level, acks, acks_missing | set_return_level(), acknowledged(), ReplyPolicy; acks: \
+    | return_level, acks, acks_missing | set_return_level(), accept_ack(), ReplyPolicy; acks: \
     whether it acknowledges writes, None while unknown |
-    | heard, alert, is_unusual, missed_in_a_row | DeviceRegistry.heard(), Tracker, miss(); \
-    is_unusual: it was away or had an error, so its next answer needs more than storing |
-    | asked_stamp, owed, waiting_behind | miss(), not_served(), pays(); owed: answers that the \
-    master gave up lately; waiting_behind: the silent device in front of it in a group read |
-    | error_bits | DeviceRegistry.told_error() |
+    | heard, alert, is_unusual, missed_in_a_row | DeviceRegistry.accept_status(), Tracker, \
+    count_missed(); is_unusual: it was away or had an error, so its next answer needs more than \
+    storing |
+    | asked_stamp, owed, waiting_behind | count_missed(), count_not_served(), \
+    accept_late_reply(); owed: answers that the master gave up lately; waiting_behind: the \
+    silent device in front of it in a group read |
+    | error_bits | DeviceRegistry.store_error_bits() |
     | last_error, asked_first, latency, latency_resolved | Tracker, with an answer |
     | registered, moved_to | DeviceRegistry: a Reg Write before its Action; the baud rate that \
     was written, in words |
-    | used | uses(): what a program reads and writes of it while its model is unknown |
+    | used | record_use(): what a program reads and writes of it while its model is unknown |
     | table, counts, errors, snapshots | all who store or count |
     """
-
-    __slots__ = (
-        '_eeprom_end', '_given_up', '_level_at', '_special', 'acks', 'acks_missing', 'alert',
-        'asked_first', 'asked_stamp', 'counts', 'dialect', 'error_bits', 'errors', 'expected',
-        'firmware', 'followed_end', 'heard', 'identity', 'identity_stamp', 'is_unresolved',
-        'is_unusual', 'joint', 'last_error', 'latency', 'latency_resolved',
-        'missed_in_a_row', 'model', 'model_number', 'moved_to', 'number', 'owed', 'registered',
-        'return_level', 'snapshots', 'table', 'used', 'waiting_behind')
 
     def __init__(self, number: int, joint: str = '', expected: bool = False) -> None:
         self.number = number                       # its ID
@@ -102,11 +96,11 @@ class Device:
         self.heard = 0                             # stamp of the last status, 0 = never
         self.asked_stamp = 0                       # when it last did not answer
         self.owed = 0
-        self._given_up = -OWED_NS           # when an answer was last given up
+        self._given_up = -LATE_REPLY_NS           # when an answer was last given up
         self.is_unusual = True
         self.forget_return_level()
         self.reset_statistics()
-        self.become(UNKNOWN)
+        self.set_model(UNKNOWN)
 
     def reset_statistics(self) -> None:
         """Start all counts at 0; what is known of the device and its state stay."""
@@ -117,7 +111,7 @@ class Device:
         self.asked_first = 0                       # answers that could tell a latency
         self.snapshots: deque[Counts] = deque([Counts()], WINDOW_S)
 
-    def become(self, model: Model) -> None:
+    def set_model(self, model: Model) -> None:
         """Take on a model; what was seen of the table stays, and may tell the return level."""
         self.model = model
         self._special, self._eeprom_end, self._level_at = _special_of(model)
@@ -127,9 +121,9 @@ class Device:
         for _, value in self.special_values(self._level_at, level or b''):
             self.set_return_level(value)
 
-    def uses(self, address: int, size: int) -> None:
+    def record_use(self, address: int, size: int) -> None:
         """Note what a program reads or writes of it, where that may say what it is."""
-        if self.model_number is None and size <= LONGEST and len(self.used) < _USES_KEPT:
+        if self.model_number is None and size <= USE_MAX_BYTES and len(self.used) < _USES_KEPT:
             self.used.add((address, size))
 
     def all_uses(self) -> frozenset[Use]:
@@ -138,7 +132,7 @@ class Device:
             self.used |= orders_of(self.table.bytes(at, 2) for at in POSITIONS_AT)
         return frozenset(self.used)
 
-    def is_told_by(self, address: int, size: int) -> bool:
+    def is_defined_by(self, address: int, size: int) -> bool:
         """Return whether these bytes, read, may tell what the device is or does."""
         return (address <= self.identity_at <= address + size - _NUMBER_SIZE
                 or address <= self._level_at < address + size)
@@ -169,7 +163,7 @@ class Device:
         return [(field.name, _special_value(field, data[field.at - address:field.end - address]))
                 for field in self._special if address <= field.at and field.end <= end]
 
-    def pinged(self, span: Span, data: bytes, stamp: int, source: int) -> None:
+    def accept_pong(self, span: Span, data: bytes, stamp: int, source: int) -> None:
         """Keep the answer to a Ping: model number, firmware version; none in the 1.0 family."""
         self.counts.pongs += 1
         self.identify(data, stamp)
@@ -197,12 +191,13 @@ class Device:
         self.acks = level == 2
         self.acks_missing = 0
 
-    def acknowledged(self) -> None:
-        """Note that it answered a write."""
+    def accept_ack(self, *_: object) -> bool:
+        """Note that it answered a write; return that, as plan.Take."""
         self.acks = True
         self.acks_missing = 0
+        return True
 
-    def miss(self, now: int, stamp: int, doubtful: bool) -> None:
+    def count_missed(self, now: int, stamp: int, doubtful: bool) -> None:
         """Count an answer that did not come, or perhaps came damaged; stamp: of the chunk."""
         self.counts.missed += 1
         self.counts.spoilt += doubtful
@@ -212,7 +207,7 @@ class Device:
         self.waiting_behind = None
         self.is_unusual = True
 
-    def not_served(self, now: int, stamp: int, blocker: int) -> None:
+    def count_not_served(self, now: int, stamp: int, blocker: int) -> None:
         """Count an answer whose turn did not come: the master gave up at the one before."""
         self.counts.not_served += 1
         self._owe(stamp)
@@ -220,29 +215,29 @@ class Device:
         self.waiting_behind = blocker
         self.is_unusual = True
 
-    def pays(self, stamp: int, patience_ns: int = OWED_NS) -> bool:
+    def accept_late_reply(self, stamp: int, late_ns: int = LATE_REPLY_NS) -> bool:
         """Take an answer that is not due: whether one that was given up lately is still owed."""
-        if not self.owed or stamp - self._given_up >= patience_ns:
+        if not self.owed or stamp - self._given_up >= late_ns:
             return False
         self.owed -= 1
         return True
 
     def has_just_answered(self, stamp: int) -> bool:
         """Return whether all its answers have come, the last just now: a next one is another's."""
-        return not self.owed and stamp - self.heard < _SLOWER_NS
+        return not self.owed and stamp - self.heard < _REPLY_SPREAD_NS
 
     def _owe(self, stamp: int, answers: int = 1) -> None:
         # Stamps of chunks: the time on the wire is only as good as the chunk is short.
-        self.owed = (self.owed if stamp - self._given_up < OWED_NS else 0) + answers
+        self.owed = (self.owed if stamp - self._given_up < LATE_REPLY_NS else 0) + answers
         self._given_up = stamp
 
-    def note_error(self, instruction: int, address: int, error: int) -> None:
+    def count_refusal(self, instruction: int, address: int, error: int) -> None:
         self.counts.refused += 1
         key = (instruction, address, error)
         if key in self.errors or len(self.errors) < _ERRORS_KEPT:
             self.errors[key] += 1
 
-    def tick(self) -> None:
+    def add_snapshot(self) -> None:
         """Take the snapshot of a second."""
         self.snapshots.append(self.counts.copy())
 
@@ -257,7 +252,7 @@ class Device:
         return ReplyLatency(self.latency.summary(now), self.latency.total(), resolved)
 
 
-def facts(device: Device, now: int, quiet_s: float) -> tuple[DeviceReport, Table]:
+def report_device(device: Device, now: int, quiet_s: float) -> tuple[DeviceReport, Table]:
     """Return what is known of a device, and a copy of its table: that is decoded later."""
     model = device.model
     name = model.name
@@ -281,7 +276,7 @@ def facts(device: Device, now: int, quiet_s: float) -> tuple[DeviceReport, Table
 @lru_cache(maxsize=256)
 def _special_of(model: Model) -> tuple[list[Field], int, int]:
     """Return the registers to follow; where those in EEPROM end; where Status Return Level is."""
-    names = _SPECIAL + (_OF_FEETECH if model.protocol == FEETECH.protocol else ())
+    names = _SPECIAL + (_CALIBRATING if model.protocol == FEETECH.protocol else ())
     special = [field for name in names if (field := model.by_name.get(name)) is not None]
     ends = [field.end for field in special if field.name != RETURN_LEVEL]
     ends += [field.end for field in model.fields

@@ -18,8 +18,8 @@ from msg_defs.dxl_instruction import Request
 from servobus.model.layers import model_key
 from servobus.model.models import Models
 
-STRONG = 4                         # as much decides, if the other has no more than a quarter of it
-WEAK = 1
+STRONG_VOTE = 4  # as much decides, if the other has no more than a quarter of it
+WEAK_VOTE = 1
 # Of Dynamixel: Torque Enable to Moving Speed, Present Position. Of Feetech: Torque Enable,
 # Acceleration and Goal Position, Present Position and more. The other has something else there.
 DYNAMIXEL_AT = {(24, 1), (25, 1), (30, 2), (30, 4), (32, 2), (36, 2), (36, 4), (36, 6), (36, 8)}
@@ -39,12 +39,12 @@ class DialectChoice:
         self.dialect: Dialect = _BY_NAME.get(protocol, UNDECIDED)
         self._votes = {DYNAMIXEL_1.name: 0, FEETECH.name: 0}
 
-    def expect(self, dialects: Iterable[Dialect | None]) -> None:
+    def vote_by_devices(self, dialects: Iterable[Dialect | None]) -> None:
         """Take the devices that the user listed as a sign."""
         for dialect in {one.name: one for one in dialects if one is not None}.values():
-            self._vote(dialect, STRONG)
+            self._vote(dialect, STRONG_VOTE)
 
-    def asked(self, request: Request) -> bool:
+    def vote_by_instruction(self, request: Request) -> bool:
         """Take an instruction as a sign; return whether that decided."""
         if self._is_fixed:
             return False
@@ -52,16 +52,16 @@ class DialectChoice:
         where = (request.accesses[0].address, request.accesses[0].length) if request.accesses \
             else None
         if code in DYNAMIXEL_1.entries and code not in FEETECH.entries:
-            return self._vote(DYNAMIXEL_1, STRONG)
+            return self._vote(DYNAMIXEL_1, STRONG_VOTE)
         if where in DYNAMIXEL_AT:          # a Sync Read too, which it has not
-            return self._vote(DYNAMIXEL_1, WEAK)
+            return self._vote(DYNAMIXEL_1, WEAK_VOTE)
         if code in FEETECH.entries and code not in DYNAMIXEL_1.entries:
-            return self._vote(FEETECH, STRONG)
+            return self._vote(FEETECH, STRONG_VOTE)
         if where in FEETECH_AT:
-            return self._vote(FEETECH, STRONG if (code, where) == _LOCKS else WEAK)
+            return self._vote(FEETECH, STRONG_VOTE if (code, where) == _LOCKS else WEAK_VOTE)
         return False
 
-    def decides(self, request: Request, data: bytes) -> bool:
+    def vote_by_model_number(self, request: Request, data: bytes) -> bool:
         """Take a model number that was read as a sign; return whether that decided."""
         if self._is_fixed or request.instruction != _READ or not request.accesses:
             return False
@@ -71,17 +71,17 @@ class DialectChoice:
             if 0 <= at <= len(data) - 2:
                 model = self._models.get(model_key(data[at] | data[at + 1] << 8, protocol))
                 if model is not None and model.protocol == protocol:
-                    return self._vote(dialect, STRONG)
+                    return self._vote(dialect, STRONG_VOTE)
         return False
 
     def _vote(self, dialect: Dialect, weight: int) -> bool:
         if self._is_fixed:
             return False
         votes = self._votes
-        if votes[dialect.name] < 4 * STRONG:
+        if votes[dialect.name] < 4 * STRONG_VOTE:
             votes[dialect.name] += weight
         for one, other in ((DYNAMIXEL_1, FEETECH), (FEETECH, DYNAMIXEL_1)):
-            if votes[one.name] >= STRONG and votes[one.name] >= 4 * votes[other.name]:
+            if votes[one.name] >= STRONG_VOTE and votes[one.name] >= 4 * votes[other.name]:
                 changed = self.dialect is not one
                 self.dialect = one
                 return changed

@@ -46,22 +46,22 @@ from servobus.bus.id_confirmation import IdConfirmation
 from servobus.bus.registry import DeviceRegistry
 
 # A device answers within 0.5 ms (Return Delay Time), a master gives up after 10 ms or more.
-QUICK_NS = 3_000_000
-SLOW_NS = 9_000_000
+REPLY_SURE_NS = 3_000_000
+REPLY_LATE_NS = 9_000_000
 MEANINGS_KEPT = 1024
 
 AnyFramer = Framer | MixedFramer | dxl1_packet.Dxl1Framer
-# What BusDecoder.take() takes: frames, the stamp of their chunk, the offset after it, its side.
+# As BusDecoder.process_frames(): frames, the stamp of their chunk, the offset after it, its side.
 Part = tuple[Frames, int, int, str]
 Parts = list[Part | None]
-Said = tuple[int, int, bytes]              # ID, code and parameters of a packet
+Content = tuple[int, int, bytes]              # ID, code and parameters of a packet
 # What an instruction is: its kind and parameters in common form; who answers with how much.
 Meaning = tuple[int, bytes, Request, dict[int, int]]
 _IS_OPEN = Flaw(OPEN)
 _NOTHING = Request(0, 0xFF, Answers.NONE)
 _SYNC_WRITE = 0x83
 # Who answers these, and how much, their bytes alone tell; a write depends on its device as well.
-_SEEN_BY_PARAMETERS = (Answers.DATA, Answers.LISTED, Answers.PING)
+_KNOWN_BY_PARAMETERS = (Answers.DATA, Answers.LISTED, Answers.PING)
 
 
 class _Waiting(NamedTuple):
@@ -88,24 +88,24 @@ class Dxl1Classifier:
         self._choice = choice
         self._detector = detector
         self.byte_ns = byte_ns
-        self.slow_ns = SLOW_NS             # and the adapter may keep bytes back for longer
+        self.slow_ns = REPLY_LATE_NS             # and the adapter may keep bytes back for longer
         self.packets = 0                   # those of the 1.0 family
         self.damaged: Counter[str] = Counter()     # those under `auto`
         self._unconfirmed: _Waiting | None = None
         self._confirmation = IdConfirmation(registry)
         self._request = _NOTHING
-        self._asked: Said = (-1, -1, b'')  # the last instruction
+        self._asked: Content = (-1, -1, b'')  # the last instruction
         self._asked_ns = 0.0               # when it ended
         self._has_decided = False          # the last packet decided the dialect
         self._awaited: dict[int, int] = {} # statuses to come: parameters, by ID
         self._errors: dict[int, int] = {}  # error byte of the last status, by ID
-        self._meanings: dict[Said, Meaning] = {}
+        self._meanings: dict[Content, Meaning] = {}
         self._noise_seen: Counter[AnyFramer] = Counter()       # bytes of it, by framer
 
-    def read(self, framer: AnyFramer, frames: Frames, stamp: int,
+    def classify(self, framer: AnyFramer, frames: Frames, stamp: int,
              side: str) -> Parts:
         """
-        Return the frames of a chunk with their meaning, as BusDecoder.take() takes them.
+        Return the frames of a chunk with their meaning, as BusDecoder.process_frames() takes them.
 
         None among them: the dialect is known from here on.
         """
@@ -121,36 +121,36 @@ class Dxl1Classifier:
             if flaw is not None and flaw.noise_length > GLITCH:
                 is_noisy = True
             if self._unconfirmed is not None:
-                self._resolve(framer, flaw, parts, found)
+                self._decide_unconfirmed(framer, flaw, parts, found)
             if kind < EITHER_1:
                 found.append(frame)
             elif flaw is not None and flaw.reason:
                 if kind == EITHER_1 or number in self._awaited:
-                    found.append(self._damaged(frame, flaw, side))
+                    found.append(self._classify_damaged(frame, flaw, side))
             elif kind == EITHER_1:
                 if detector is not None:
-                    self._note_family(framer, frame, stamp)
+                    self._report_family(framer, frame, stamp)
                 if (number not in devices and side != OUT and frame is not proving
                         and number not in self._awaited
                         and self._confirmation.new_id(*frame[3:6]) is not None):
                     self._unconfirmed = _Waiting(framer, frame, stamp, received, side)
                     continue
-                found.append(self._meaning(frame, stamp, received, side))
+                found.append(self._classify_packet(frame, stamp, received, side))
                 if self._has_decided:
-                    found = self._cut(parts, found, stamp, received, side)
+                    found = self._split_parts(parts, found, stamp, received, side)
         if is_noisy:
-            self._look_at_noise(framer)
+            self._count_first_byte_lost(framer)
         parts.append((found, stamp, received, side))
         return parts
 
     def _proof(self, detector: Detector, parts: Parts) -> Frame | None:
         """Add the packets of earlier chunks that this one proved; return the frame that did so."""
         for one in detector.proof:
-            self._note_family(one.framer, one.frame, one.stamp)
-            self._add(parts, self._meaning(*one[1:]), *one[2:])
+            self._report_family(one.framer, one.frame, one.stamp)
+            self._add_part(parts, self._classify_packet(*one[1:]), *one[2:])
         return detector.proving
 
-    def _cut(self, parts: Parts, found: Frames, stamp: int, received: int,
+    def _split_parts(self, parts: Parts, found: Frames, stamp: int, received: int,
              side: str) -> Frames:
         """Say that the dialect is known: before the question that decided it, after the answer."""
         self._has_decided = False
@@ -158,20 +158,20 @@ class Dxl1Classifier:
         parts += [(found, stamp, received, side), None]
         return kept
 
-    def _add(self, parts: Parts, frame: Frame, stamp: int, received: int,
+    def _add_part(self, parts: Parts, frame: Frame, stamp: int, received: int,
              side: str) -> None:
         """Add a packet of an earlier chunk."""
         found = [frame]
         if self._has_decided:
-            found = self._cut(parts, found, stamp, received, side)
+            found = self._split_parts(parts, found, stamp, received, side)
         parts.append((found, stamp, received, side))
 
-    def _note_family(self, framer: AnyFramer, frame: Frame, stamp: int) -> None:
+    def _report_family(self, framer: AnyFramer, frame: Frame, stamp: int) -> None:
         """Note a packet of the 1.0 family on a bus that speaks 2.0 as well."""
         if isinstance(framer, MixedFramer) and framer.has_first:
-            self._evidence.note_often(stamp, ev.PROTOCOL_1, frame[3], ev.Code(frame[4]))
+            self._evidence.add_frequent(stamp, ev.PROTOCOL_1, frame[3], ev.Code(frame[4]))
 
-    def _look_at_noise(self, framer: AnyFramer) -> None:
+    def _count_first_byte_lost(self, framer: AnyFramer) -> None:
         """Count the answers in the noise that lack only the first byte of their header."""
         fresh = framer.noise_bytes - self._noise_seen.get(framer, 0)
         self._noise_seen[framer] += fresh
@@ -188,7 +188,7 @@ class Dxl1Classifier:
 
     # --- does this ID exist? --------------------------------------------------------------------
 
-    def _resolve(self, framer: AnyFramer, flaw: Flaw | None, parts: Parts,
+    def _decide_unconfirmed(self, framer: AnyFramer, flaw: Flaw | None, parts: Parts,
                  found: Frames) -> None:
         """Decide on the packet that waits, for another frame has come."""
         held = self._unconfirmed
@@ -196,34 +196,34 @@ class Dxl1Classifier:
             return
         is_same = framer is held.framer
         is_next = not is_same or flaw is None or not (flaw.reason or flaw.noise_length)
-        frame = self._met(held, is_next)
+        frame = self._confirmed(held, is_next)
         if not is_same or held.received != framer.bytes:       # from an earlier chunk
-            self._add(parts, frame, *held[2:])
+            self._add_part(parts, frame, *held[2:])
             return
         found.append(frame)
         if self._has_decided:
-            found[:] = self._cut(parts, found.copy(), *held[2:])
+            found[:] = self._split_parts(parts, found.copy(), *held[2:])
 
-    def settle(self) -> Parts:
+    def confirm_waiting(self) -> Parts:
         """Return the packet that waits, if the line is idle after it."""
         parts: Parts = []
         held = self._unconfirmed
         if held is not None and not held.framer.pending:
-            self._add(parts, self._met(held, not held.framer.noise_length), *held[2:])
+            self._add_part(parts, self._confirmed(held, not held.framer.noise_length), *held[2:])
         return parts
 
-    def _met(self, held: _Waiting, is_next: bool) -> Frame:
+    def _confirmed(self, held: _Waiting, is_next: bool) -> Frame:
         """Return what the packet that waits means; is_next: there is no noise after it."""
         self._unconfirmed = None
         if held.frame[3] in self._awaited \
                 or self._confirmation.exists(held.frame, held.stamp, is_next):
-            return self._meaning(*held[1:])
+            return self._classify_packet(*held[1:])
         self.packets += 1
-        return _open(held.frame)
+        return _as_open(held.frame)
 
     # --- instruction or status? -----------------------------------------------------------------
 
-    def _meaning(self, frame: Frame, stamp: int, received: int, side: str) -> Frame:
+    def _classify_packet(self, frame: Frame, stamp: int, received: int, side: str) -> Frame:
         begin, end, kind, number, code, params, flaw = frame
         self.packets += 1
         awaited = self._awaited.get(number)
@@ -235,32 +235,33 @@ class Dxl1Classifier:
             ended = stamp - (received - end) * self.byte_ns
             is_status = side != OUT and self._is_status((number, code, params), ended, awaited)
             if is_status is None:
-                return _open(frame)
+                return _as_open(frame)
             if not is_status:
-                kind, params = self._instruction((number, code, params), ended)
+                kind, params = self._classify_instruction((number, code, params), ended)
                 return begin, end, kind, number, code, params, flaw
         if awaited is not None:
             del self._awaited[number]
         if params and self._request.id == number and self._choice.dialect is UNDECIDED \
-                and self._choice.decides(self._request, params):
+                and self._choice.vote_by_model_number(self._request, params):
             self._decide()
         if code or self._errors.get(number, -1):
-            code = self._error(number, code, stamp)
+            code = self._store_error(number, code, stamp)
         return begin, end, IS_STATUS, number, code, params, flaw
 
-    def _is_echo(self, said: Said, awaited: int | None) -> bool:
+    def _is_echo(self, content: Content, awaited: int | None) -> bool:
         """Return whether what came to the master is an instruction, mostly its own."""
-        number, code, params = said
+        number, code, params = content
         if number == BROADCAST or code > STATUS_BITS:
             return True
-        if said != self._asked or (len(params) == awaited and not self._evidence.counts[ev.ECHO]):
+        if content != self._asked or (
+                len(params) == awaited and not self._evidence.counts[ev.ECHO]):
             return False
         self._asked = (-1, -1, b'')        # it comes back once
         return True
 
-    def _is_status(self, said: Said, ended: float, awaited: int | None) -> bool | None:
+    def _is_status(self, content: Content, ended: float, awaited: int | None) -> bool | None:
         """Return whether a packet is a status, None where that stays open."""
-        number, code, params = said
+        number, code, params = content
         size = len(params)
         if number == BROADCAST or code > STATUS_BITS:
             return False
@@ -274,41 +275,41 @@ class Dxl1Classifier:
         waited = ended - (size + 6) * self.byte_ns - self._asked_ns
         if waited >= self.slow_ns or size not in (awaited, 0):
             return False
-        if waited <= QUICK_NS and (said != self._asked or number in self._errors):
+        if waited <= REPLY_SURE_NS and (content != self._asked or number in self._errors):
             return True
         return None
 
-    def _instruction(self, said: Said, ended: float) -> tuple[int, bytes]:
+    def _classify_instruction(self, content: Content, ended: float) -> tuple[int, bytes]:
         """Return the kind of an instruction and its parameters in common form."""
-        self._asked, self._asked_ns = said, ended
-        number, code, params = said
+        self._asked, self._asked_ns = content, ended
+        number, code, params = content
         if code == _SYNC_WRITE and self._choice.dialect is not UNDECIDED:
             self._request, self._awaited = _NOTHING, {}        # what a robot says most
             return in_common(code, number, params)
-        known = self._meanings.get(said)
+        known = self._meanings.get(content)
         if known is None:
-            known = self._parsed(said)
-        elif self._choice.dialect is UNDECIDED and self._choice.asked(known[2]):
+            known = self._parse_instruction(content)
+        elif self._choice.dialect is UNDECIDED and self._choice.vote_by_instruction(known[2]):
             self._decide()
         kind, params, self._request, awaited = known
         self._awaited = awaited.copy()
         return kind, params
 
-    def _parsed(self, said: Said) -> Meaning:
+    def _parse_instruction(self, content: Content) -> Meaning:
         choice = self._choice
-        number, code, params = said
+        number, code, params = content
         dialect = choice.dialect if code in choice.dialect.entries else UNDECIDED
         request = parse(code, number, params, dialect)
-        if choice.asked(request):
+        if choice.vote_by_instruction(request):
             self._decide()
-        known = *in_common(code, number, params), request, self._due(request)
-        if request.answers in _SEEN_BY_PARAMETERS:
+        known = *in_common(code, number, params), request, self._awaited_by(request)
+        if request.answers in _KNOWN_BY_PARAMETERS:
             if len(self._meanings) >= MEANINGS_KEPT:
                 self._meanings.clear()
-            self._meanings[said] = known
+            self._meanings[content] = known
         return known
 
-    def _due(self, request: Request) -> dict[int, int]:
+    def _awaited_by(self, request: Request) -> dict[int, int]:
         """Return how many parameters each status to this has, by ID."""
         if request.answers in (Answers.DATA, Answers.LISTED):
             return {access.id: access.length for access in request.accesses}
@@ -319,15 +320,15 @@ class Dxl1Classifier:
             return {request.id: 0}
         return {}
 
-    def _error(self, number: int, error: int, stamp: int) -> int:
+    def _store_error(self, number: int, error: int, stamp: int) -> int:
         """Keep the error byte of a status where it changes; return it as 2.0 would say it."""
         dialect = self._choice.dialect
         if error != self._errors.get(number, 0):
-            self._registry.told_error(number, dialect.error_at, error, stamp)
+            self._registry.store_error_bits(number, dialect.error_at, error, stamp)
         self._errors[number] = error
         return common_error(error, dialect) if error else 0
 
-    def _damaged(self, frame: Frame, flaw: Flaw, side: str) -> Frame:
+    def _classify_damaged(self, frame: Frame, flaw: Flaw, side: str) -> Frame:
         """Return a damaged frame as what it most likely was."""
         begin, end, _, number, code, data, _ = frame
         if self._detector is not None:
@@ -341,7 +342,7 @@ class Dxl1Classifier:
         self._has_decided = True
 
 
-def _open(frame: Frame) -> Frame:
+def _as_open(frame: Frame) -> Frame:
     """Return a packet that may be an instruction or a status, or nothing."""
     begin, end, kind, number, code, params, _ = frame
     return begin, end, kind, number, code, dxl1_packet.content(number, code, params), _IS_OPEN

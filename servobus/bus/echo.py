@@ -7,10 +7,10 @@ from collections import deque
 from servobus.bus import evidence as ev
 from servobus.bus.evidence import Evidence
 
-LONGER = 6                         # bytes: a Ping of the 1.0 family may be a status as well,
-READ = 8                           # and a Read that nothing follows, but not two different ones
-KEPT = 64                          # writes of which nothing came back yet
-MUCH = 4096                        # bytes received since
+PING_BYTES = 6                         # bytes: a Ping of the 1.0 family may be a status as well,
+READ_BYTES = 8  # and a Read that nothing follows, but not two different ones
+WRITES_KEPT = 64                          # writes of which nothing came back yet
+RECEIVED_KEPT_BYTES = 4096                        # bytes received since
 
 
 class EchoCounter:
@@ -18,53 +18,54 @@ class EchoCounter:
 
     def __init__(self, evidence: Evidence) -> None:
         self._counts = evidence.counts
-        self._sent: deque[bytes] = deque(maxlen=KEPT)
+        self._sent: deque[bytes] = deque(maxlen=WRITES_KEPT)
         self._came = b''                       # since then
         self._alone = b''                      # a Read, or an answer like it
         self._is_last = False                  # that, and nothing else may come
 
-    def send(self, chunk: bytes) -> None:
+    def process_sent(self, chunk: bytes) -> None:
         """Take what the master sends."""
         if self._came:
-            self._end()
+            self._restart()
         self._sent.append(chunk)
         self._is_last = False
 
-    def hear(self, chunk: bytes) -> None:
+    def process_received(self, chunk: bytes) -> None:
         """Look for what the master sent in what it receives."""
-        self.wait(len(chunk))
+        if self._is_last:
+            self.count_waiting(len(chunk))
         if self._sent:
-            self._came = (self._came + chunk)[-MUCH:]
+            self._came = (self._came + chunk)[-RECEIVED_KEPT_BYTES:]
         while self._sent and (at := self._came.find(self._sent[0])) >= 0:
-            said = self._sent.popleft()
-            size = len(said)
+            sent = self._sent.popleft()
+            size = len(sent)
             self._came = self._came[at + size:]
-            before, self._alone = self._alone or said, b'' if self._came else said
-            is_echo = size > (READ if before == self._alone else LONGER) \
+            before, self._alone = self._alone or sent, b'' if self._came else sent
+            is_echo = size > (READ_BYTES if before == self._alone else PING_BYTES) \
                 or bool(self._came and not self._sent)
-            self._count(is_echo)
+            self._count_echoes(is_echo)
             self._is_last = not (is_echo or self._sent)
 
-    def wait(self, waiting: int) -> None:
+    def count_waiting(self, waiting: int) -> None:
         """Take how many bytes came or wait since; one write has one answer."""
-        self._count(self._is_last and waiting > 0)
+        self._count_echoes(self._is_last and waiting > 0)
         self._is_last = False
 
-    def drop(self, waiting: int, is_due: bool) -> None:
-        """Take note that the master throws so many bytes away; is_due: answers may be there."""
+    def process_discarded(self, waiting: int, is_due: bool) -> None:
+        """Note that the master throws so many bytes away; is_due: answers may be there."""
         if not (is_due or self._came) and 0 < waiting == sum(map(len, self._sent)):
-            self._count(len(self._sent))       # nothing else may come
-        self._end()
+            self._count_echoes(len(self._sent))       # nothing else may come
+        self._restart()
 
-    def _end(self) -> None:
+    def _restart(self) -> None:
         """Begin again; the first write may have come back as far as it was read."""
-        said = self._sent[0] if self._sent else b''
-        if said[:LONGER] in self._came:        # an answer mostly holds none of it
-            self._count(any(self._came.endswith(said[:size])
-                            for size in range(LONGER, len(said))))
+        sent = self._sent[0] if self._sent else b''
+        if sent[:PING_BYTES] in self._came:        # an answer mostly holds none of it
+            self._count_echoes(any(self._came.endswith(sent[:size])
+                            for size in range(PING_BYTES, len(sent))))
         self._sent.clear()
         self._came = b''
 
-    def _count(self, writes: int) -> None:
+    def _count_echoes(self, writes: int) -> None:
         if writes:                     # a kind that did not occur has no count
             self._counts[ev.ECHO] += writes

@@ -100,7 +100,7 @@ class Sizes(NamedTuple):
     wanted: int
 
 
-class Much(NamedTuple):
+class Count(NamedTuple):
     """How many: answers missed in a row, writes without an answer, events or bytes lost."""
 
     number: int
@@ -130,7 +130,7 @@ BAD_LENGTH = IncidentKind[Length]('bad length')
 CUT = IncidentKind[Front]('cut')                              # it ends too early
 GLITCH = IncidentKind[Nothing]('glitch')                      # counted only: a byte or two ahead
 MISSED = IncidentKind[Unanswered]('missed')                     # the first of a row
-DISCONNECTED = IncidentKind[Much]('disconnected')
+DISCONNECTED = IncidentKind[Count]('disconnected')
 RETURNED = IncidentKind[SilentFor]('returned')
 REFUSED = IncidentKind[Refusal]('refused')
 ALERT = IncidentKind[Nothing]('alert')                        # it began
@@ -149,7 +149,7 @@ OPEN = IncidentKind[Code]('undecided packet')                 # an instruction o
 CALIBRATED = IncidentKind[Nothing]('calibrated')              # the position became the middle
 OFFSET_WRITTEN = IncidentKind[Offsets]('offset written')       # Homing Offset of Feetech
 REBOOTED = IncidentKind[Nothing]('rebooted')
-ACKS_STOPPED = IncidentKind[Much]('acks stopped')
+ACKS_STOPPED = IncidentKind[Count]('acks stopped')
 UNKNOWN_INSTRUCTION = IncidentKind[Code]('unknown instruction')
 MALFORMED = IncidentKind[Front]('malformed')                  # length: parameter bytes
 BAD_ID = IncidentKind[Written]('bad id')                      # in a status, or in an instruction
@@ -161,11 +161,11 @@ THROWN_AWAY = IncidentKind[Code]('answers thrown away')       # unread
 WRONG_PACKET = IncidentKind[Code]('wrong packet')             # the master's: none takes it
 HUNG = IncidentKind[Lateness]('question never given up')
 STALE = IncidentKind[Nothing]('stale answers')                # it reads those, not the new ones
-SOURCE_LOST = IncidentKind[Much]('source lost')
+SOURCE_LOST = IncidentKind[Count]('source lost')
 LEFT_OPEN = IncidentKind[Lateness]('last question open')      # it ended too soon to know
 
-_KEPT = 1000
-_APART_NS = 100_000_000             # between two that are kept, where each packet may be one
+_INCIDENTS_KEPT = 1000
+_FREQUENT_APART_NS = 100_000_000  # between two that are kept, where each packet may be one
 _ERRORS_KEPT = 50
 _WAITS_KEPT = 256
 
@@ -199,53 +199,58 @@ class Evidence:
     """What was noted on one bus."""
 
     def __init__(self) -> None:
-        self.incidents: deque[Incident[Any]] = deque(maxlen=_KEPT)
+        self.incidents: deque[Incident[Any]] = deque(maxlen=_INCIDENTS_KEPT)
         self._errors: deque[Incident[Any]] = deque(maxlen=_ERRORS_KEPT)
         self.waits: deque[Wait] = deque(maxlen=_WAITS_KEPT)
         self.counts: Counter[str] = Counter()          # by kind, since start
-        self._kept: dict[str, int] = {}                # stamp of the last that note_often() kept
-        self.noted = 0                                 # incidents so far
+        self._kept: dict[str, int] = {}  # stamp of the last that add_frequent() kept
+        self.incidents_added = self.waits_added = 0                   # incidents and waits so far
 
-    def note(self, stamp: int, kind: IncidentKind[D], device: int, detail: D) -> None:
+    def add_incident(self, stamp: int, kind: IncidentKind[D], device: int, detail: D) -> None:
         incident = Incident(stamp, kind, device, detail)
         self.incidents.append(incident)
         self.counts[kind] += 1
-        self.noted += 1
+        self.incidents_added += 1
         if kind in _TEXTS:
             self._errors.append(incident)
 
-    def note_often(self, stamp: int, kind: IncidentKind[D], device: int, detail: D) -> None:
+    def add_wait(self, wait: Wait) -> None:
+        self.waits.append(wait)
+        self.waits_added += 1
+
+    def add_frequent(self, stamp: int, kind: IncidentKind[D], device: int, detail: D) -> None:
         """Note what may come with each packet: counted each time, kept once in a while."""
-        if stamp - self._kept.get(kind, -_APART_NS) >= _APART_NS:
+        if stamp - self._kept.get(kind, -_FREQUENT_APART_NS) >= _FREQUENT_APART_NS:
             self._kept[kind] = stamp
-            self.note(stamp, kind, device, detail)
+            self.add_incident(stamp, kind, device, detail)
         else:
             self.counts[kind] += 1
 
-    def note_damage(self, stamp: int, frame: Frame, flaw: Flaw, side: str) -> None:
+    def add_damage(self, stamp: int, frame: Frame, flaw: Flaw, side: str) -> None:
         """Note a damaged frame, or one of which it is open what it is; what goes out is whole."""
         _, _, kind, number, code, _, _ = frame
         code = STATUS if kind == IS_STATUS else code
         if flaw.reason == OPEN_FRAME:
-            self.note(stamp, OPEN, number, Code(code))
+            self.add_incident(stamp, OPEN, number, Code(code))
         elif side == OUT:
             # One FF more in front is ID 255 of the 1.0 family, taken for a header.
-            self.note(stamp, WRONG_PACKET, 0xFF if flaw.noise_length == 1 else number, Code(code))
+            number = 0xFF if flaw.noise_length == 1 else number
+            self.add_incident(stamp, WRONG_PACKET, number, Code(code))
         elif flaw.reason == 'length':
-            self.note(stamp, BAD_LENGTH, NO_DEVICE, Length(flaw.length))
+            self.add_incident(stamp, BAD_LENGTH, NO_DEVICE, Length(flaw.length))
         elif flaw.reason == 'cut':
-            self.note(stamp, CUT, NO_DEVICE, Front(code, flaw.length))
+            self.add_incident(stamp, CUT, NO_DEVICE, Front(code, flaw.length))
         else:
-            self.note(stamp, DAMAGED_STATUS if kind == IS_STATUS else DAMAGED_INSTRUCTION, number,
-                      Front(code, flaw.length))
+            damaged = DAMAGED_STATUS if kind == IS_STATUS else DAMAGED_INSTRUCTION
+            self.add_incident(stamp, damaged, number, Front(code, flaw.length))
 
-    def look_at_noise(self, noise: bytes, fresh: int, stamp: int) -> None:
+    def search_noise(self, noise: bytes, fresh: int, stamp: int) -> None:
         """Look for packets of Protocol 1.0 that end in the last `fresh` bytes of noise."""
         for at, end in _protocol_1(noise):
             if end > len(noise) - fresh:
-                self.note(stamp, PROTOCOL_1, noise[at + 2], Code(noise[at + 4]))
+                self.add_incident(stamp, PROTOCOL_1, noise[at + 2], Code(noise[at + 4]))
 
-    def newest(self, count: int) -> tuple[Incident[Any], ...]:
+    def newest_incidents(self, count: int) -> tuple[Incident[Any], ...]:
         """Return the last incidents, oldest first."""
         count = min(count, len(self.incidents))
         return tuple(self.incidents[index] for index in range(-count, 0))

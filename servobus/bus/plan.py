@@ -24,8 +24,9 @@ from servobus.bus.device import Device
 from servobus.bus.evidence import UNKNOWN_INSTRUCTION
 from servobus.bus.table import Span
 
-# What takes an answer in: address and size, data, stamp, source (as Table.keep).
-Take = Callable[[Span, bytes, int, int], object]
+# What takes an answer in: address and size, data, stamp, source (as Table.keep); returns True
+# where the answer accepts what the instruction wrote.
+Accept = Callable[[Span, bytes, int, int], bool | None]
 # What an instruction does to a device, and with which arguments: the device, more, the stamp.
 Action = Callable[..., None]
 Effect = tuple[Action, tuple[Any, ...]]
@@ -34,7 +35,7 @@ Effect = tuple[Action, tuple[Any, ...]]
 Begin = Callable[[bytes, int], Effect | None]
 STAMPS_KEPT = 64
 _NO_SIZE = -1
-AROUND, AROUND_1 = 11, 6           # bytes of a status without its data; in the 1.0 family
+STATUS_OVERHEAD, STATUS_OVERHEAD_1 = 11, 6  # bytes of a status without its data; in the 1.0 family
 
 
 class Due(Enum):
@@ -48,19 +49,20 @@ class Due(Enum):
 class Slot:
     """One expected status: from which device, of how many data, and where these go."""
 
-    __slots__ = ('device', 'due', 'size', 'span', 'take')
+    __slots__ = ('accept', 'device', 'due', 'size', 'span')
 
-    def __init__(self, device: Device, due: Due, address: int, length: int, take: Take) -> None:
+    def __init__(self, device: Device, due: Due, address: int, length: int,
+                 accept: Accept) -> None:
         self.device = device
         self.due = due
         self.span = address, length
         self.size = length
-        self.take = take
+        self.accept = accept
 
     @property
     def status_size(self) -> int:
         """How many bytes the status has on the wire."""
-        return self.size + (AROUND if self.device.dialect is None else AROUND_1)
+        return self.size + (STATUS_OVERHEAD if self.device.dialect is None else STATUS_OVERHEAD_1)
 
 
 def combined_slot(first: Device) -> Slot:
@@ -69,12 +71,12 @@ def combined_slot(first: Device) -> Slot:
 
     No status has its size, so the tracker always looks closer at it, and splits it.
     """
-    slot = Slot(first, Due.READ, 0, 0, take_nothing)
+    slot = Slot(first, Due.READ, 0, 0, ignore_data)
     slot.size = _NO_SIZE
     return slot
 
 
-def take_nothing(span: Span, data: bytes, stamp: int, source: int) -> None:
+def ignore_data(span: Span, data: bytes, stamp: int, source: int) -> None:
     """Store nothing: there are no data, or the parts of the status have slots of their own."""
 
 
@@ -111,9 +113,9 @@ class FastReply:
         if fields[1::4] != self._ids:
             return ()
         crc = HEADER_CRC
-        for covered, said in zip(self._covered.unpack_from(body), fields[3::4], strict=True):
+        for covered, sent in zip(self._covered.unpack_from(body), fields[3::4], strict=True):
             crc = bare_crc16(covered, crc, CRC16_TABLE)
-            if crc != said:
+            if crc != sent:
                 return ()
         return fields
 
@@ -163,17 +165,17 @@ class Plan:
         sure = [number for number in bad if ids.index(number) < known or number == bad[0]]
         return [silent[number] for number in sure], [one for one in bad if one not in sure]
 
-    def served(self, due: list[Slot], spoke: set[int]) -> tuple[int, int]:
+    def served(self, due: list[Slot], damaged_ids: set[int]) -> tuple[int, int]:
         """
         Return how many of the due had their turn, and the ID that the others wait for.
 
-        due: the slots without an answer, in order; spoke: IDs with a damaged answer.
+        due: the slots without an answer, in order; damaged_ids: IDs with a damaged answer.
         """
-        if len(due) == 1 and not spoke:
+        if len(due) == 1 and not damaged_ids:
             return 1, due[0].device.number     # the usual case, without a look at all slots
         waiting, silent = 0, set(due)
         for slot in reversed(self.slots.values()):
-            if slot.device.number in spoke:
+            if slot.device.number in damaged_ids:
                 return len(due) - waiting, slot.device.number
             if slot not in silent:
                 break

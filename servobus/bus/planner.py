@@ -32,13 +32,13 @@ from servobus.bus import evidence as ev
 from servobus.bus.device import Device
 from servobus.bus.evidence import Evidence
 from servobus.bus.expected import MAX_ID_1
+from servobus.bus.plan import Accept
 from servobus.bus.plan import Action
 from servobus.bus.plan import Begin
 from servobus.bus.plan import combined_slot
 from servobus.bus.plan import Due
 from servobus.bus.plan import Plan
 from servobus.bus.plan import Slot
-from servobus.bus.plan import Take
 from servobus.bus.registry import DeviceRegistry
 from servobus.bus.report import IncidentKind
 from servobus.bus.table import WRITTEN
@@ -54,39 +54,36 @@ NO_PLAN = Plan(Request(0, 0xFF, Answers.NONE), {})
 _KEY_SIZE = {code: kind.key_size for code, kind in KINDS.items()}
 # What makes two instructions differ: kind, ID, code, parameters; where there are data to
 # write, the parameters in front of them, and how many there are in all.
-Said = tuple[int, int, int, bytes]
-Key = Said | tuple[int, int, int, bytes, int]
+RawInstruction = tuple[int, int, int, bytes]
+Key = RawInstruction | tuple[int, int, int, bytes, int]
 # One device of a Sync Write; whether the write may change what the device is or does.
-Target = tuple[Device, Take, bool]
+Target = tuple[Device, Accept, bool]
 
 
 class Planner:
-    """The plans of one bus. on_ack: called with the device and its status when it acknowledges."""
+    """The plans of one bus."""
 
-    def __init__(self, registry: DeviceRegistry, evidence: Evidence,
-                 on_ack: Callable[..., object]) -> None:
+    def __init__(self, registry: DeviceRegistry, evidence: Evidence) -> None:
         self._registry = registry
         self._evidence = evidence
-        self._on_ack = on_ack
         self.known: dict[Key, Plan] = {}
         self._size = 0                 # size of all plans, in slots
         # Of a Sync Write, by address, size and IDs.
         self._targets: dict[bytes, tuple[list[Target], Struct]] = {}
         self._retired = 0              # instructions of forgotten plans
-        registry.changed = self.forget_plans
         self._actions: dict[int, Action] = {
             Instruction.WRITE: registry.write,
             Instruction.SYNC_WRITE: registry.write,
             Instruction.BULK_WRITE: registry.write,
             Instruction.REG_WRITE: registry.register,
-            Instruction.ACTION: registry.act,
+            Instruction.ACTION: registry.write_registered,
             Instruction.REBOOT: registry.reboot,
             Instruction.FACTORY_RESET: registry.factory_reset,
             Instruction.CLEAR: registry.clear,
             Instruction.CONTROL_TABLE_BACKUP: registry.restore,
             CALIBRATE: registry.calibrate,
         }
-        self._makers: dict[Answers, Callable[[Request], list[Slot]]] = {
+        self._slot_makers: dict[Answers, Callable[[Request], list[Slot]]] = {
             Answers.NONE: lambda request: [],
             Answers.EVERYBODY: lambda request: [],
             Answers.PING: self._ping_slots,
@@ -96,36 +93,38 @@ class Planner:
             Answers.ACK: self._ack_slots,
         }
 
-    def plan_for(self, said: Said, stamp: int) -> Plan:
+    def plan_for(self, raw: RawInstruction, stamp: int) -> Plan:
         """Return the plan of an instruction: kind, ID, code and parameters of its frame."""
-        kind, number, code, params = said
+        kind, number, code, params = raw
         size = _KEY_SIZE.get(code)
-        key: Key = said
+        key: Key = raw
         if size is not None:
             key = kind, number, code, params[:size], len(params)
         plan = self.known.get(key)
         if plan is None:
-            plan = self._learn(said, stamp)
+            plan = self._make_plan(raw, stamp)
             if plan.request.malformed:
-                key = said             # another with this front may well make sense
+                key = raw             # another with this front may well make sense
             size = plan.size + (4 + len(key[3])) // BYTES_PER_SLOT
-            if self._size + size > SLOTS_KEPT:
+            if self._size + size > SLOTS_KEPT or not self._registry.plans_hold:
                 self.forget_plans()
             self._size += size
             self.known[key] = plan
         return plan
 
-    def request_of(self, said: Said) -> Request:
+    def request_of(self, raw: RawInstruction) -> Request:
         """Return what an instruction says, with its own data; a plan has those of its first."""
-        kind, id, code, params = said
+        kind, id, code, params = raw
         if kind == INSTRUCTION_2:
             return parse(code, id, params)
         return understood(kind, code, id, params, self._registry.dialect)
 
     def plans(self) -> list[Plan]:
         """Return the plans in use, with what is counted of them elsewhere brought up to date."""
+        if not self._registry.plans_hold:
+            self.forget_plans()
         for plan in self.known.values():
-            self._count(plan)
+            self._count_repetitions(plan)
         return list(self.known.values())
 
     def has_answer(self, number: int, size: int) -> bool:
@@ -138,14 +137,15 @@ class Planner:
         return self._retired + sum(plan.asked for plan in self.known.values())
 
     def forget_plans(self) -> None:
-        """Begin again: there are too many, or a device has another ID or model now."""
+        """Begin again: there are too many plans, or they are outdated."""
+        self._registry.plans_hold = True
         self.plans()
         self._retired = self.instructions()
         self.known.clear()
         self._targets.clear()
         self._size = 0
 
-    def _count(self, plan: Plan) -> None:
+    def _count_repetitions(self, plan: Plan) -> None:
         new = plan.asked - plan.counted
         plan.counted = plan.asked
         for kind in plan.oddities:
@@ -154,18 +154,18 @@ class Planner:
             if slot.due is Due.READ and number != BROADCAST:   # a fast read: its first device
                 slot.device.counts.reads += new
 
-    def _learn(self, said: Said, stamp: int) -> Plan:
-        kind, id, code, params = said
+    def _make_plan(self, raw: RawInstruction, stamp: int) -> Plan:
+        kind, id, code, params = raw
         names: Container[int] = NAMES
-        request = self.request_of(said)
+        request = self.request_of(raw)
         if kind != INSTRUCTION_2:
             names = self._registry.dialect.entries
             self._registry.highest = MAX_ID_1
             for number in {id, *(access.id for access in request.accesses)} - {BROADCAST}:
-                self._registry.speaks(self._registry.device(number))
+                self._registry.set_device_dialect(self._registry.device(number))
         if code != Instruction.SYNC_WRITE:     # see _find_targets()
             for access in request.accesses:
-                self._registry.device(access.id).uses(access.address, access.length)
+                self._registry.device(access.id).record_use(access.address, access.length)
         oddities: list[tuple[IncidentKind[Any], int, Any]] = []
         if code not in names:
             oddities.append((ev.UNKNOWN_INSTRUCTION, id, ev.Code(code)))
@@ -180,20 +180,20 @@ class Planner:
             plan.oddities = tuple(one for one, *_ in oddities)
             plan.counted = 1               # noted here, and it has no reads
             for one, number, what in oddities:
-                self._evidence.note(stamp, one, number, what)
+                self._evidence.add_incident(stamp, one, number, what)
         return plan
 
     def _plan_of(self, request: Request, is_known: bool) -> Plan:
-        slots = {slot.device.number: slot for slot in self._makers[request.answers](request)}
+        slots = {slot.device.number: slot for slot in self._slot_makers[request.answers](request)}
         if request.answers is Answers.COMBINED and slots:
             first = next(iter(slots.values())).device
             slots = {BROADCAST: combined_slot(first), **slots}
-        return Plan(request, slots, self._beginner(request) if is_known else None)
+        return Plan(request, slots, self._begin_of(request) if is_known else None)
 
     def _ping_slots(self, request: Request) -> list[Slot]:
         device = self._registry.device(request.id)
         size = 3 if device.dialect is None else 0      # the 1.0 family answers without data
-        return [Slot(device, Due.ALWAYS, -1, size, device.pinged)]
+        return [Slot(device, Due.ALWAYS, -1, size, device.accept_pong)]
 
     def _read_slots(self, request: Request) -> list[Slot]:
         highest = self._registry.highest
@@ -201,17 +201,17 @@ class Planner:
 
     def _read_slot(self, access: Access) -> Slot:
         device = self._registry.device(access.id)
-        take: Take = device.table.keep
-        if device.is_told_by(access.address, access.length):
-            take = partial(self._registry.read_special, device)
-        return Slot(device, Due.READ, access.address, access.length, take)
+        accept: Accept = device.table.keep
+        if device.is_defined_by(access.address, access.length):
+            accept = partial(self._registry.read_special, device)
+        return Slot(device, Due.READ, access.address, access.length, accept)
 
     def _ack_slots(self, request: Request) -> list[Slot]:
         device = self._registry.device(request.id)
         address = request.accesses[0].address if request.accesses else -1
-        return [Slot(device, Due.ACK, address, 0, partial(self._on_ack, device))]
+        return [Slot(device, Due.ACK, address, 0, device.accept_ack)]
 
-    def _beginner(self, request: Request) -> Begin | None:
+    def _begin_of(self, request: Request) -> Begin | None:
         """Return what a repetition of this instruction starts, None for one that only asks."""
         if request.instruction == Instruction.BULK_WRITE and request.accesses:
             return partial(self._bulk_write, request.malformed)
@@ -237,7 +237,7 @@ class Planner:
         span = address, size = _span_at(params)
         ids = params[4::size + 1]
         if 4 + len(ids) * (size + 1) != len(params):
-            self._note_malformed(Instruction.SYNC_WRITE, params, stamp)
+            self._add_malformed(Instruction.SYNC_WRITE, params, stamp)
             return
         key = params[:4] + ids
         targets, layout = self._targets.get(key) or self._find_targets(key, address, size, ids)
@@ -245,7 +245,7 @@ class Planner:
         for (device, keep, is_changed), data in zip(targets, parts, strict=True):
             device.counts.writes += 1              # DeviceRegistry.write() costs a call more
             if is_changed or device.is_unresolved:
-                self._registry.follow(device, address, data, stamp)
+                self._registry.follow_write(device, address, data, stamp)
             keep(span, data, stamp, WRITTEN)
 
     def _find_targets(self, key: bytes, address: int, size: int,
@@ -255,7 +255,7 @@ class Planner:
             self._targets.clear()
         devices = [self._registry.device(number) for number in ids]
         for device in devices:
-            device.uses(address, size)
+            device.record_use(address, size)
         found = self._targets[key] = [
             (one, one.table.keep, one.is_changed_by(address, size))
             for one in devices], Struct(f'x{size}s' * len(ids))
@@ -267,10 +267,10 @@ class Planner:
         for number, address, data in entries:
             self._registry.write(self._registry.device(number), address, data, stamp)
         if not is_known and not is_whole_bulk_write(params, entries):
-            self._note_malformed(Instruction.BULK_WRITE, params, stamp)
+            self._add_malformed(Instruction.BULK_WRITE, params, stamp)
 
-    def _note_malformed(self, code: int, params: bytes, stamp: int) -> None:
-        self._evidence.note(stamp, ev.MALFORMED, BROADCAST, ev.Front(code, len(params)))
+    def _add_malformed(self, code: int, params: bytes, stamp: int) -> None:
+        self._evidence.add_incident(stamp, ev.MALFORMED, BROADCAST, ev.Front(code, len(params)))
 
     def _write_all(self, action: Action, address: int, params: bytes, stamp: int) -> None:
         devices = list(self._registry.devices.values())

@@ -7,7 +7,6 @@ It does not ask whether an answer belongs to an instruction: that is the tracker
 devices; an ID is a key here and may change, a Device is the thing that answers to it.
 """
 
-from collections.abc import Callable
 from collections.abc import Iterable
 
 from msg_defs.dxl1_instruction import Dialect
@@ -58,8 +57,8 @@ class DeviceRegistry:
     """
     The devices, by the ID they answer to. baud: the rate of this bus.
 
-    changed: called when a device has another ID or model, so that plans made before do not hold.
-    made: called with a device that is new.
+    plans_hold: False once a device has another ID or model: plans made before are no longer right.
+    new_ids: of devices that were made since somebody cleared it.
     """
 
     def __init__(self, models: Models, expected: Iterable[Expected], baud: int,
@@ -73,8 +72,8 @@ class DeviceRegistry:
         self.highest = MAX_ID              # the largest ID that a device can have here
         self._renamed: dict[int, int] = {}     # IDs that were changed: the new ones
         self._dummy = Device(NO_ID)        # takes what is sent to an ID that no device can have
-        self.changed: Callable[[], None] = lambda: None
-        self.made: Callable[[Device], object] = lambda device: None
+        self.plans_hold = True
+        self.new_ids: set[int] = set()
         self._followers = {'ID': self.renumber, 'Baud Rate': self._follow_baud,
                            RETURN_LEVEL: lambda device, level, _: device.set_return_level(level),
                            OFFSET: self._follow_offset, TORQUE: self._follow_torque}
@@ -85,7 +84,7 @@ class DeviceRegistry:
                 device.dialect = _DIALECTS.get(model.protocol)
                 device.model_number = model.number
                 device.identity = (model.number or 0).to_bytes(2, 'little')
-                device.become(model)
+                device.set_model(model)
 
     def device(self, number: int) -> Device:
         """Return the device with this ID, new at first sight; a dummy where no device can be."""
@@ -94,7 +93,7 @@ class DeviceRegistry:
             if number > self.highest:
                 return self._dummy
             device = self.devices[number] = Device(number)
-            self.made(device)
+            self.new_ids.add(number)
             if number in self._renamed:
                 device.moved_to = f'{NEW_ID}{self._renamed[number]:03}'
         return device
@@ -107,19 +106,19 @@ class DeviceRegistry:
             return str(address)
         return device.table.in_force(field, device.model).name
 
-    def heard(self, device: Device, error: int, stamp: int) -> None:
+    def accept_status(self, device: Device, error: int, stamp: int) -> None:
         """Take any status as a sign of life; error is its error byte, alert bit included."""
         if device.missed_in_a_row:
             silence_ms = (stamp - device.heard) // 1_000_000
             if device.heard and silence_ms >= ABSENCE_MS:
-                self._evidence.note(stamp, ev.RETURNED, device.number,
+                self._evidence.add_incident(stamp, ev.RETURNED, device.number,
                                     ev.SilentFor(silence_ms, self._torque(device),
                                                  device.missed_in_a_row))
             device.missed_in_a_row = 0
         alert = error >= ALERT
         if alert:
             if not device.alert:
-                self._evidence.note(stamp, ev.ALERT, device.number, ev.NOTHING)
+                self._evidence.add_incident(stamp, ev.ALERT, device.number, ev.NOTHING)
             device.counts.alerts += 1
         device.alert = alert
         device.heard = stamp
@@ -128,13 +127,13 @@ class DeviceRegistry:
             device.moved_to = ''           # else what it said before the write was read late
         device.is_unusual = error != 0        # the next good answer clears its last error
 
-    def pong(self, device: Device, data: bytes, stamp: int, is_doubtful: bool) -> None:
+    def accept_pong(self, device: Device, data: bytes, stamp: int, is_doubtful: bool) -> None:
         """Take an answer to a Ping to all; is_doubtful: it may be one to something else."""
         device.counts.answers += 1
         if not data:
-            self.speaks(device)
+            self.set_device_dialect(device)
         elif not is_doubtful:
-            device.pinged(NO_SPAN, data, stamp, READ)
+            device.accept_pong(NO_SPAN, data, stamp, READ)
 
     def read_special(self, device: Device, span: Span, data: bytes, stamp: int,
                      source: int) -> None:
@@ -162,19 +161,19 @@ class DeviceRegistry:
             device.forget_return_level()
         device.model_number = number
         device.firmware = firmware
-        device.become(self._models.get(key, firmware) or UNKNOWN)
-        self.changed()
+        device.set_model(self._models.get(key, firmware) or UNKNOWN)
+        self.plans_hold = False
         device.table.store(device.identity_at, device.identity[:2], stamp, READ)
         field = device.model.by_name.get('Firmware Version')
         if firmware is not None and field is not None and field.size == 1:
             device.table.store(field.at, device.identity[2:], stamp, READ)
 
-    def lay_out(self, device: Device, layout: Model) -> None:
+    def set_layout(self, device: Device, layout: Model) -> None:
         """Give a device of an unknown model the registers that what is used of it speaks for."""
         if device.model_number is None and device.model is not layout:
             if layout is UNKNOWN:
                 device.forget_return_level()
-            device.become(layout)          # plans hold: what they counted is worth more
+            device.set_model(layout)          # plans hold: what they counted is worth more
 
     def _read_identity(self, device: Device, address: int, data: bytes, stamp: int) -> None:
         at = device.identity_at - address
@@ -193,15 +192,15 @@ class DeviceRegistry:
         """Tell whether no device can have this ID, and it is not everybody's either."""
         return number > self.highest and number != BROADCAST
 
-    def speak(self, dialect: Dialect) -> None:
+    def set_dialect(self, dialect: Dialect) -> None:
         """Say which dialect of the 1.0 family is spoken here; devices are then known by it."""
         self.dialect = dialect
         for device in self.devices.values():
             if device.dialect is not None:
-                self.speaks(device)
-        self.changed()
+                self.set_device_dialect(device)
+        self.plans_hold = False
 
-    def speaks(self, device: Device) -> None:
+    def set_device_dialect(self, device: Device) -> None:
         """Say that a device speaks the dialect of this bus, and look who it is."""
         device.dialect = self.dialect
         at = self.dialect.identity_at
@@ -214,7 +213,7 @@ class DeviceRegistry:
         if field is not None and device.firmware is None:
             device.firmware = device.table.byte(field.at)
 
-    def told_error(self, number: int, at: int, error: int, stamp: int) -> None:
+    def store_error_bits(self, number: int, at: int, error: int, stamp: int) -> None:
         """Keep the error byte of a status of the 1.0 family where its table has it."""
         if number <= self.highest:
             device = self.device(number)
@@ -223,7 +222,7 @@ class DeviceRegistry:
 
     def calibrate(self, device: Device, stamp: int) -> None:
         """Forget what a Calibrate of Feetech changes."""
-        self._evidence.note(stamp, ev.CALIBRATED, device.number, ev.NOTHING)
+        self._evidence.add_incident(stamp, ev.CALIBRATED, device.number, ev.NOTHING)
         self.resolve(device)
         device.table.forget('all', device.model, [
             field.name for field in device.model.fields if field.name not in _CALIBRATED])
@@ -240,10 +239,10 @@ class DeviceRegistry:
         if device.is_unresolved:
             self.resolve(device)           # its model says how much of the table is kept
         if address < device.followed_end and device.is_changed_by(address, len(data)):
-            self.follow(device, address, data, stamp, alone)
+            self.follow_write(device, address, data, stamp, alone)
         device.table.keep((address, len(data)), data, stamp, WRITTEN)
 
-    def renames(self, effect: Effect, number: int) -> bool:
+    def is_new_id(self, effect: Effect, number: int) -> bool:
         """
         Return whether a write gives a device this ID: some acknowledge it with the new one.
 
@@ -263,7 +262,7 @@ class DeviceRegistry:
         """Keep a Reg Write until its Action."""
         device.registered = address, data, alone
 
-    def act(self, device: Device, stamp: int) -> None:
+    def write_registered(self, device: Device, stamp: int) -> None:
         """Carry out the registered write, at an Action."""
         if device.registered is not None:
             address, data, alone = device.registered
@@ -272,7 +271,7 @@ class DeviceRegistry:
 
     def reboot(self, device: Device, stamp: int) -> None:
         """Forget what a device loses when it restarts."""
-        self._evidence.note(stamp, ev.REBOOTED, device.number, ev.NOTHING)
+        self._evidence.add_incident(stamp, ev.REBOOTED, device.number, ev.NOTHING)
         self.resolve(device)
         device.table.forget('ram', device.model)
         device.registered = None
@@ -283,7 +282,7 @@ class DeviceRegistry:
         device.table.forget('all', device.model, (*IDENTITY, *_RESET_KEEPS[option]))
         if 'Baud Rate' not in _RESET_KEEPS[option]:
             baud = FACTORY_BAUD if device.dialect is None else FACTORY_BAUD_1
-            self._moved(device, baud, f'{baud} Bd')
+            self._set_moved(device, baud, f'{baud} Bd')
         if 'ID' not in _RESET_KEEPS[option]:
             self.renumber(device, FACTORY_ID, stamp)
 
@@ -300,7 +299,7 @@ class DeviceRegistry:
             self.reboot(device, stamp)
             device.table.forget('all', device.model, (*IDENTITY, 'ID', 'Baud Rate'))
 
-    def follow(self, device: Device, address: int, data: bytes, stamp: int,
+    def follow_write(self, device: Device, address: int, data: bytes, stamp: int,
                alone: bool = True) -> None:
         """
         Note what a write to EEPROM or to Status Return Level changes about the device.
@@ -317,18 +316,19 @@ class DeviceRegistry:
             if alone or name != 'ID':
                 self._followers[name](device, value, stamp)
         if is_locked:
-            self._evidence.note(stamp, ev.LOCKED, device.number, ev.Written(address))
+            self._evidence.add_incident(stamp, ev.LOCKED, device.number, ev.Written(address))
 
     def _follow_baud(self, device: Device, value: int, stamp: int) -> None:
-        self._evidence.note(stamp, ev.BAUD_WRITTEN, device.number, ev.Written(value))
+        self._evidence.add_incident(stamp, ev.BAUD_WRITTEN, device.number, ev.Written(value))
         field = device.model.by_name['Baud Rate']
         baud = int(field.decode(field.bytes_of(value)).number or 0)
-        self._moved(device, baud, f'{baud} Bd' if baud else f'an unknown baud rate (code {value})')
+        self._set_moved(device, baud,
+                        f'{baud} Bd' if baud else f'an unknown baud rate (code {value})')
 
     def _follow_offset(self, device: Device, value: int, stamp: int) -> None:
         before = _raw(device, OFFSET)
         if value != before:
-            self._evidence.note(stamp, ev.OFFSET_WRITTEN, device.number,
+            self._evidence.add_incident(stamp, ev.OFFSET_WRITTEN, device.number,
                                 ev.Offsets(value, before, _raw(device, PLACE)))
 
     def _follow_torque(self, device: Device, value: int, stamp: int) -> None:
@@ -345,7 +345,7 @@ class DeviceRegistry:
             if device.moved_to == f'{baud} Bd':
                 device.moved_to = ''
 
-    def _moved(self, device: Device, baud: int, in_words: str) -> None:
+    def _set_moved(self, device: Device, baud: int, in_words: str) -> None:
         if baud != self.baud:
             device.moved_to = in_words
             device.is_unusual = True
@@ -364,7 +364,7 @@ class DeviceRegistry:
         self._renamed[device.number] = number
         device.number = number
         self.devices[number] = device
-        self.changed()
+        self.plans_hold = False
 
     def _torque(self, device: Device) -> int:
         """Return the last known Torque Enable, -1 if there is none."""

@@ -14,15 +14,15 @@ from typing import NamedTuple
 from msg_defs.frame import GLITCH
 from servobus.bus import evidence as ev
 from servobus.bus.evidence import Evidence
-from servobus.bus.plan import AROUND
 from servobus.bus.plan import Due
 from servobus.bus.plan import Effect
 from servobus.bus.plan import Plan
 from servobus.bus.plan import Slot
+from servobus.bus.plan import STATUS_OVERHEAD
 from servobus.bus.registry import DeviceRegistry
 from servobus.bus.report import Wait
 
-ACKS_LEARNED = 3                   # writes without an answer, from a device that answers reads
+ACKS_MISSING_MAX = 3  # writes without an answer, from a device that answers reads
 
 
 class OpenQuestion(NamedTuple):
@@ -30,7 +30,7 @@ class OpenQuestion(NamedTuple):
 
     plan: Plan
     due: list[Slot]
-    spoke: set[int]                # IDs with a damaged answer
+    damaged_ids: set[int]                # IDs with a damaged answer
     is_spoilt: bool                # there was damage
     asked: int = 0                 # stamp
     effect: Effect | None = None   # what it does once it is accepted
@@ -60,56 +60,59 @@ class ReplyPolicy:
         device.acks_missing += 1
         if device.acks is None:
             return False
-        if device.acks_missing >= ACKS_LEARNED and device.missed_in_a_row < ACKS_LEARNED - 1:
+        if device.missed_in_a_row < ACKS_MISSING_MAX - 1 \
+                and device.acks_missing >= ACKS_MISSING_MAX:
             device.acks = False                # it answers reads, so it is there
-            self._evidence.note(device.asked_stamp, ev.ACKS_STOPPED, device.number,
-                                ev.Much(device.acks_missing))
+            self._evidence.add_incident(device.asked_stamp, ev.ACKS_STOPPED, device.number,
+                                ev.Count(device.acks_missing))
         return bool(device.acks)
 
-    def refuse(self, slot: Slot, instruction: int, code: int, stamp: int) -> None:
-        """Take note of a refusal, which is an acknowledgement too."""
+    def count_refusal(self, slot: Slot, instruction: int, code: int, stamp: int) -> None:
+        """Note a refusal, which is an acknowledgement too."""
         if slot.due is Due.ACK:
-            slot.device.acknowledged()
+            slot.device.accept_ack()
         refusal = ev.Refusal(instruction, slot.span[0], code)
-        slot.device.note_error(*refusal)
-        self._evidence.note(stamp, ev.REFUSED, slot.device.number, refusal)
+        slot.device.count_refusal(*refusal)
+        self._evidence.add_incident(stamp, ev.REFUSED, slot.device.number, refusal)
 
-    def judge(self, question: OpenQuestion, now: int, stamp: int, us: int = -1) -> None:
+    def judge_question(self, question: OpenQuestion, now: int, stamp: int, us: int = -1) -> None:
         """
         Count the missed, and those not served because the master gave up before them.
 
         now: when, on the wire; stamp: of the chunk. us: for how long the master waited, if known.
         """
-        plan, due, spoke, is_spoilt, *_ = question
+        plan, due, damaged_ids, is_spoilt, *_ = question
         if us >= 0:
-            self._evidence.waits.append(Wait(now, us, due[0].device.number, is_spoilt,
-                                             plan.request.instruction))
-        served, behind = plan.served(due, spoke)
+            self._evidence.add_wait(Wait(now, us, due[0].device.number, is_spoilt,
+                                         plan.request.instruction))
+        served, behind = plan.served(due, damaged_ids)
         for slot in due[:served]:
-            self._miss(plan, slot, now, stamp, is_spoilt or slot.device.number in spoke)
+            self._count_missed(plan, slot, now, stamp,
+                               is_spoilt or slot.device.number in damaged_ids)
         for slot in due[served:]:
-            slot.device.not_served(now, stamp, behind)
+            slot.device.count_not_served(now, stamp, behind)
 
-    def look_at_noise(self, question: OpenQuestion, noise: int, slots: Iterable[Slot],
+    def attribute_noise(self, question: OpenQuestion, noise: int, slots: Iterable[Slot],
                       now: int) -> None:
         """Note who the noise may come from; slots: of all answers that did not come."""
-        most = sum(slot.size + AROUND for slot in slots)
+        most = sum(slot.size + STATUS_OVERHEAD for slot in slots)
         first = question.due[0].device
         if noise > most + GLITCH:
-            self._evidence.note_often(now, ev.TOO_LONG, first.number, ev.Sizes(noise, most))
-        elif not question.spoke:
-            question.spoke.add(first.number)
+            self._evidence.add_frequent(now, ev.TOO_LONG, first.number, ev.Sizes(noise, most))
+        elif not question.damaged_ids:
+            question.damaged_ids.add(first.number)
             first.counts.garbled += 1
 
-    def _miss(self, plan: Plan, slot: Slot, now: int, stamp: int, is_doubtful: bool) -> None:
+    def _count_missed(self, plan: Plan, slot: Slot, now: int, stamp: int,
+                      is_doubtful: bool) -> None:
         """Count an answer that had to come and did not; is_doubtful: damage was in its place."""
         device = slot.device
         plan.missed += 1
-        device.miss(now, stamp, is_doubtful)
+        device.count_missed(now, stamp, is_doubtful)
         device.counts.data_missed += slot.due is Due.READ
         if device.missed_in_a_row == 1:
-            self._evidence.note(now, ev.MISSED, device.number,
+            self._evidence.add_incident(now, ev.MISSED, device.number,
                                 ev.Unanswered(plan.request.instruction, slot.span[0]))
         elif device.missed_in_a_row == self._missed_limit + 1:
-            self._evidence.note(now, ev.DISCONNECTED, device.number,
-                                ev.Much(device.missed_in_a_row))
+            self._evidence.add_incident(now, ev.DISCONNECTED, device.number,
+                                ev.Count(device.missed_in_a_row))

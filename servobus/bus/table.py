@@ -31,10 +31,10 @@ USUAL_LIMIT = 0x800
 SIZE_LIMIT = 0x4000
 SPAN_LIMIT = 64         # spans waiting to be put in place; a master uses a handful
 LAST_STAMP = (1 << 63) - 1      # ns: 292 years
-LONG = 256              # bytes of a span that does not wait
+WAITING_SPAN_MAX_BYTES = 256              # bytes of a span that does not wait
 Data = bytes            # the built-in: Table.bytes hides its name
 Span = tuple[int, int]  # address and size
-Taker = Callable[[Span, Data, int, int], object]
+SpanListener = Callable[[Span, Data, int, int], object]
 NO_SPAN = (-1, 0)       # for an answer without registers
 IDENTITY = ('Model Number', 'Model Information', 'Firmware Version')
 
@@ -97,16 +97,16 @@ class Image:
         return Observed(field, _decoded(field, bytes(self.data[at:end])), age_s, SOURCES[source])
 
 
-class _Called(dict[Span, tuple[Data, int, int]]):
+class _ListenedSpans(dict[Span, tuple[Data, int, int]]):
     """Spans that wait, with a call for each; a plain dict costs nothing more."""
 
-    def __init__(self, waiting: dict[Span, tuple[Data, int, int]], take: Taker) -> None:
+    def __init__(self, waiting: dict[Span, tuple[Data, int, int]], listener: SpanListener) -> None:
         super().__init__(waiting)
-        self._take = take
+        self._listener = listener
 
     def __setitem__(self, span: Span, seen: tuple[Data, int, int]) -> None:
         super().__setitem__(span, seen)
-        self._take(span, *seen)
+        self._listener(span, *seen)
 
 
 class Table:
@@ -129,12 +129,13 @@ class Table:
         # Taken out and put back, so that the dict stays in order of arrival (stamps may be equal).
         before = latest.pop(span, None)
         latest[span] = (data, stamp, source)
-        if before is None and (len(latest) > SPAN_LIMIT or len(data) > LONG):
+        if before is None and (len(latest) > SPAN_LIMIT or len(data) > WAITING_SPAN_MAX_BYTES):
             self._settle()
 
-    def call(self, take: Taker | None) -> None:
+    def set_listener(self, listener: SpanListener | None) -> None:
         """Hand each span that comes from now on to `take`, too, as keep() gets it."""
-        self._latest = dict(self._latest) if take is None else _Called(self._latest, take)
+        self._latest = dict(self._latest) if listener is None \
+            else _ListenedSpans(self._latest, listener)
 
     def _settle(self) -> Image:
         if self._latest:

@@ -29,18 +29,20 @@ from servobus.bus import evidence as ev
 from servobus.bus import pairing
 from servobus.bus.device import Device
 from servobus.bus.evidence import Evidence
+from servobus.bus.pairing import DOUBTFUL
+from servobus.bus.pairing import SURE
 from servobus.bus.plan import Due
 from servobus.bus.plan import Effect
 from servobus.bus.plan import Plan
 from servobus.bus.plan import Slot
 from servobus.bus.planner import NO_PLAN
 from servobus.bus.planner import Planner
-from servobus.bus.planner import Said
+from servobus.bus.planner import RawInstruction
 from servobus.bus.registry import DeviceRegistry
 from servobus.bus.reply_policy import OpenQuestion
 from servobus.bus.reply_policy import ReplyPolicy
 from servobus.bus.table import READ
-from servobus.bus.unread import Unread
+from servobus.bus.unread import UnreadAnswers
 
 _NO_SLOTS: dict[int, Slot] = {}
 _PING_SIZE = 3                     # the data of the answer to a Ping; none in the 1.0 family
@@ -50,19 +52,14 @@ _NOTHING = (-1, -1, -1, b'')
 class Tracker:
     """Follows one bus. Feed it what the Framer finds, in order."""
 
-    __slots__ = (
-        '_asked', '_before', '_deferred', '_evidence', '_given_up', '_known', '_last', '_noise',
-        '_note', '_policy', '_registry', '_spoke', '_state', '_unresolved', 'byte_ns', 'pending',
-        'planner', 'quiet_from', 'slots', 'unread')
-
     def __init__(self, registry: DeviceRegistry, evidence: Evidence, byte_ns: float,
                  missed_limit: int, write_acks: str) -> None:
         self._registry, self.byte_ns = registry, byte_ns
-        self.planner = planner = Planner(registry, evidence, self._acknowledged)
+        self.planner = planner = Planner(registry, evidence)
         self._known = planner.known
-        self._evidence, self._note = evidence, evidence.note
+        self._evidence, self._add_incident = evidence, evidence.add_incident
         self._policy = ReplyPolicy(write_acks, missed_limit, registry, evidence)
-        self._state, self._noise = pairing.DOUBTFUL, 0     # bytes ahead of the last flawed frame
+        self._state, self._noise = DOUBTFUL, 0     # bytes ahead of the last flawed frame
         self.quiet_from = 0                    # offset of what it received after it asked
         self.pending: Plan = NO_PLAN           # the instruction that answers belong to
         self._last = _NOTHING                  # its kind, ID, code and parameters
@@ -70,26 +67,28 @@ class Tracker:
         self._deferred: Effect | None = None   # what it does once it is accepted
         self.slots: dict[int, Slot] = {}      # the statuses that are still to come
         self._unresolved = False               # no status yet: the first one gives a latency
-        self._spoke: set[int] = set()          # the devices that answered it with damage
+        self._damaged_ids: set[int] = set()          # the devices that answered it with damage
         self._before, self._given_up = NO_PLAN, _NO_SLOTS      # the one before, what it lacked
-        self.unread = Unread(registry, evidence, self._policy)
+        self.unread = UnreadAnswers(registry, evidence, self._policy)
 
-    def track(self, frames: Frames, stamp: int, received: int, side: str = UNKNOWN) -> None:
-        """Take the frames of one chunk, in the order of time; received: the offset after it."""
-        if side == IN and (self.unread.until or self.unread.left):
-            frames = self.unread.take(frames, stamp, received, self._before)
+    def process_frames(self, frames: Frames, stamp: int, received: int,
+                       side: str = UNKNOWN) -> None:
+        """Process the frames of one chunk, in the order of time; received: the offset after it."""
+        is_in = side == IN
+        if is_in and (self.unread.old_until or self.unread.deferred):
+            frames = self.unread.take_old_answers(frames, stamp, received, self._before)
         slots = self.slots
         for frame in frames:
             begin, end, kind, number, code, data, flaw = frame
-            if flaw is not None and self._flawed(frame, flaw, stamp, side):
+            if flaw is not None and self._process_flaw(frame, flaw, stamp, side):
                 continue
             if kind:
-                said = kind, number, code, data
-                if side != IN or not self._is_echo(said, stamp):
-                    slots = self._instruct(said, flaw, begin, end, received, stamp)
+                raw = kind, number, code, data
+                if not (is_in and self._is_echo(raw, stamp)):
+                    slots = self._process_instruction(raw, flaw, begin, end, received, stamp)
                 continue
             if (slot := slots.pop(number, None)) is None:
-                self._unasked(number, code, data, stamp)
+                self._process_unasked(number, code, data, stamp)
                 continue
             device = slot.device
             if self._unresolved:
@@ -98,43 +97,48 @@ class Tracker:
                 if side or begin >= self._asked[1]:
                     self._sample_latency(device, begin, received, stamp)
             if len(data) != slot.size or code or device.is_unusual or self._state:
-                self._unusual(slot, number, code, data, stamp)
+                self._process_unusual(slot, number, code, data, stamp)
             else:
                 device.counts.answers += 1
                 device.heard = stamp
-                take = slot.take       # calling it as an attribute costs more
-                take(slot.span, data, stamp, READ)
+                accept = slot.accept       # calling it as an attribute costs more
+                if accept(slot.span, data, stamp, READ):
+                    self._carry_out()
 
-    def _is_echo(self, said: Said, stamp: int) -> bool:
-        """Take an instruction that came to the master; return whether it is its own."""
-        is_own = said == self._last or bool(self._evidence.counts[ev.ECHO])
+    def _is_echo(self, raw: RawInstruction, stamp: int) -> bool:
+        """Accept an instruction that came to the master; return whether it is its own."""
+        is_own = raw == self._last or bool(self._evidence.counts[ev.ECHO])
         if not is_own:
-            self._note(stamp, ev.FOREIGN, said[1], ev.Code(said[2]))
+            self._add_incident(stamp, ev.FOREIGN, raw[1], ev.Code(raw[2]))
         return is_own
 
-    def look_away(self, us: int, stamp: int) -> None:
-        """Take note that the answer that follows may have been there for so long."""
+    def discount_latency(self, us: int, stamp: int) -> None:
+        """Note that the answer that follows may have been there for so long."""
         self._unresolved &= 2000 * us < stamp - self._asked[2]
 
-    def not_sent(self, stamp: int) -> None:
-        """Take note that the pending instruction did not get to the bus, or not all of it."""
+    def drop_unsent(self, stamp: int) -> None:
+        """Note that the pending instruction did not get to the bus, or not all of it."""
         if self.pending is not NO_PLAN:
-            self._note(stamp, ev.NOT_SENT, self._last[1], ev.Code(self._last[2]))
+            self._add_incident(stamp, ev.NOT_SENT, self._last[1], ev.Code(self._last[2]))
         self._forget()
 
     def lose_track(self, stamp: int, lost: int) -> None:
         """Judge nothing that is pending: `lost` events were not heard, or the port was closed."""
         if lost:
-            self._note(stamp, ev.SOURCE_LOST, ev.NO_DEVICE, ev.Much(lost))
-        elif self.pending is not NO_PLAN:
-            self.slots.pop(BROADCAST, None)
-            self.unread.last = [*self.unread.left, self._question([*self.slots.values()])]
-        self.unread.left.clear()
+            self._add_incident(stamp, ev.SOURCE_LOST, ev.NO_DEVICE, ev.Count(lost))
+        self.slots.pop(BROADCAST, None)
+        self.unread.close(None if lost or self.pending is NO_PLAN
+                          else self._question([*self.slots.values()]))
         self._forget()
-        self._state = pairing.DOUBTFUL
+        self._state = DOUBTFUL
+
+    def accept_purge(self, stamp: int) -> None:
+        """Note that the program discarded what waited, perhaps all that is still to come."""
+        if self.unread.report_purge(self.pending, self.slots, self.asked, self.quiet_from, stamp):
+            self.slots.clear()
 
     def _question(self, due: list[Slot]) -> OpenQuestion:
-        return OpenQuestion(self.pending, due, self._spoke, self._state >= pairing.SPOILT,
+        return OpenQuestion(self.pending, due, self._damaged_ids, self._state >= pairing.SPOILT,
                             self._asked[2], self._deferred)
 
     def _forget(self) -> None:
@@ -142,7 +146,7 @@ class Tracker:
         self._given_up = _NO_SLOTS
         self._deferred = None
 
-    def settle(self, stamp: int) -> None:
+    def stop_waiting(self, stamp: int) -> None:
         """Give up waiting: the line is idle for longer than any answer takes."""
         if self.slots or self._deferred is not None:
             self._close(_NOTHING, 0, 0, stamp)
@@ -153,38 +157,44 @@ class Tracker:
         """The stamp of the last instruction, 0 before the first."""
         return self._asked[2]
 
-    def _instruct(self, said: Said, flaw: Flaw | None, begin: int, end: int, received: int,
-                  stamp: int) -> dict[int, Slot]:
+    def _process_instruction(self, raw: RawInstruction, flaw: Flaw | None, begin: int, end: int,
+                             received: int, stamp: int) -> dict[int, Slot]:
         if self.slots or self._deferred is not None:
-            self._close(said, begin, received, stamp)
+            self._close(raw, begin, received, stamp)
         else:
             self._given_up = _NO_SLOTS
-        if self._spoke:
-            self._spoke = set()
-        plan = self._known.get(said) or self.planner.plan_for(said, stamp)
-        self._before, self.pending, self._last = self.pending, plan, said
+        if self._damaged_ids:
+            self._damaged_ids = set()
+        if not self._registry.plans_hold:
+            self.planner.forget_plans()
+        plan = self._known.get(raw) or self.planner.plan_for(raw, stamp)
+        self._before = self.pending
+        self.pending = plan
+        self._last = raw
         plan.asked += 1
         plan.stamps.append(stamp)
         if (start := plan.begin) is not None:  # nothing waits: _close() has ended that
             if flaw is not None and flaw.unstuffed and plan.request.accesses:
-                self._note(stamp, ev.UNSTUFFED, said[1], ev.Code(said[2]))
-            self._deferred = start(said[3], stamp)
+                self._add_incident(stamp, ev.UNSTUFFED, raw[1], ev.Code(raw[2]))
+            self._deferred = start(raw[3], stamp)
         self._asked = end, received, stamp
-        self._unresolved, self._state = True, pairing.SURE
+        self._unresolved = True
+        self._state = SURE
         self.slots = slots = plan.slots.copy()
         return slots
 
-    def _unusual(self, slot: Slot, number: int, error: int, data: bytes, stamp: int) -> None:
-        """Take an awaited status that is damaged in its context, an error or a return."""
+    def _process_unusual(self, slot: Slot, number: int, error: int, data: bytes,
+                         stamp: int) -> None:
+        """Accept an awaited status that is damaged in its context, an error or a return."""
         if number == BROADCAST:
-            if self.is_doubtful or not self._take_whole(error, data, stamp):
+            if self.is_doubtful or not self._accept_whole(error, data, stamp):
                 wire = fast_wire(error, data)
-                self._combined(wire + body_crc(wire).to_bytes(2, 'little'), stamp)
+                self._split_combined(wire + body_crc(wire).to_bytes(2, 'little'), stamp)
         else:
-            self._answer(slot, error, data, stamp)
+            self._accept_answer(slot, error, data, stamp)
 
-    def _take_whole(self, error: int, data: bytes, stamp: int) -> bool:
-        """Take a fast reply of which every part holds; leave any other as it is."""
+    def _accept_whole(self, error: int, data: bytes, stamp: int) -> bool:
+        """Accept a fast reply of which every part holds; leave any other as it is."""
         reply = self.pending.fast_reply
         if reply is None or len(self.slots) != len(reply.slots) \
                 or not (fields := reply.read(fast_wire(error, data))):
@@ -193,137 +203,133 @@ class Tracker:
             device = slot.device
             device.counts.fast_answers += 1
             if error or device.is_unusual:
-                self._answer(slot, error, data, stamp)
+                self._accept_answer(slot, error, data, stamp)
             else:
                 device.counts.answers += 1
                 device.heard = stamp
                 device.last_error = 0
-                take = slot.take
-                take(slot.span, data, stamp, READ)
+                accept = slot.accept
+                accept(slot.span, data, stamp, READ)
         self.slots.clear()
         return True
 
-    def _answer(self, slot: Slot, error: int, data: bytes, stamp: int) -> None:
+    def _accept_answer(self, slot: Slot, error: int, data: bytes, stamp: int) -> None:
         device = slot.device
         device.counts.answers += 1
         is_again = self._before.asks(device, len(data)) and device.has_just_answered(stamp)
-        self._registry.heard(device, error, stamp)
+        self._registry.accept_status(device, error, stamp)
         code = error & ~ALERT
+        if code and (self.is_doubtful or slot.due is Due.ACK):
+            self._deferred = None              # where it is doubtful: it may answer this write
         if self.is_doubtful:
-            self._deferred = None if code else self._deferred      # it may answer this write
             return
         device.last_error = code
         if code:
-            self._deferred = None if slot.due is Due.ACK else self._deferred
-            self._policy.refuse(slot, self.pending.request.instruction, code, stamp)
+            self._policy.count_refusal(slot, self.pending.request.instruction, code, stamp)
         elif len(data) == slot.size:
-            slot.take(slot.span, data, stamp, READ)
+            if slot.accept(slot.span, data, stamp, READ):
+                self._carry_out()
         elif self.planner.has_answer(device.number, len(data)):
             if not is_again:
                 self.slots[device.number] = slot       # a late one: its own may still come
-            self._note_extra(device.number, is_again, stamp)
+            self._add_extra(device.number, is_again, stamp)
         else:
-            self._note(stamp, ev.WRONG_SIZE, device.number, ev.Sizes(len(data), slot.size))
-
-    def _acknowledged(self, device: Device, *_: object) -> None:
-        device.acknowledged()
-        self._carry_out()
+            self._add_incident(stamp, ev.WRONG_SIZE, device.number, ev.Sizes(len(data), slot.size))
 
     def _carry_out(self) -> None:
-        """Do what the pending instruction asked for: it was accepted."""
+        """Do what the pending instruction asked for: it was accepted, or not refused."""
         if self._deferred is not None:
             (action, arguments), self._deferred = self._deferred, None
             action(*arguments)
 
-    def _combined(self, body: bytes, stamp: int) -> bool:
-        """Take the parts of a fast reply; return whether it breaks off after a whole one."""
+    def _split_combined(self, body: bytes, stamp: int) -> bool:
+        """Accept the parts of a fast reply; return whether it breaks off after a whole one."""
         accesses = self.pending.request.accesses
         blocks = split_combined(body, accesses)        # each part that holds proves itself
         there = max(len(blocks), blocks_in(body, accesses))
         for block in blocks:
             if (slot := self.slots.pop(block.id, None)) is not None:
                 slot.device.counts.fast_answers += 1
-                self._answer(slot, block.error, block.data, stamp)
+                self._accept_answer(slot, block.error, block.data, stamp)
         if len(blocks) < there:
             damaged, unknown = self.pending.failed(there, blocks[-1].id if blocks else -1,
                                                  self.slots)
             for slot in damaged:
-                self._speak_damaged(slot)
+                self._count_damaged(slot)
             for number in unknown:
                 del self.slots[number]
         if there < len(accesses) and self._state < pairing.SPOILT:
-            self._note(stamp, ev.FAST_CUT, accesses[there].id, ev.Sizes(there, len(accesses)))
+            self._add_incident(stamp, ev.FAST_CUT, accesses[there].id,
+                               ev.Sizes(there, len(accesses)))
         return len(blocks) == there < len(accesses)
 
-    def _unasked(self, number: int, error: int, data: bytes, stamp: int) -> None:
-        """Take a status that was not due: a sign of life, no more."""
+    def _process_unasked(self, number: int, error: int, data: bytes, stamp: int) -> None:
+        """Accept a status that was not due: a sign of life, no more."""
         if number > self._registry.highest:
-            self._note(stamp, ev.BAD_ID, ev.NO_DEVICE, ev.Written(number))
+            self._add_incident(stamp, ev.BAD_ID, ev.NO_DEVICE, ev.Written(number))
             return
-        if self.slots and self._deferred and self._registry.renames(self._deferred, number):
+        if self.slots and self._deferred and self._registry.is_new_id(self._deferred, number):
             _, slot = self.slots.popitem()
-            self._answer(slot, error, data, stamp)
+            self._accept_answer(slot, error, data, stamp)
             self._registry.renumber(slot.device, number, stamp)
             return
         device = self._registry.device(number)
         is_again = self._before.asks(device, len(data)) and device.has_just_answered(stamp)
-        self._registry.heard(device, error, stamp)
+        self._registry.accept_status(device, error, stamp)
         plan = self.pending
         request = plan.request
         if request.answers is Answers.EVERYBODY and len(data) == (
                 _PING_SIZE if self._last[0] == INSTRUCTION_2 else 0):
-            self._registry.pong(device, data, stamp, self.is_doubtful)
+            self._registry.accept_pong(device, data, stamp, self.is_doubtful)
         elif self.is_doubtful:       # it may well have been asked, by what was damaged
             if number in plan.slots:
-                self._note(stamp, ev.ANSWERED_AGAIN, number, ev.Code(request.instruction))
+                self._add_incident(stamp, ev.ANSWERED_AGAIN, number, ev.Code(request.instruction))
         elif not plan.is_understood and request.id in (number, BROADCAST):
             pass                   # it may have asked for this answer
-        elif device.pays(stamp, self.unread.patience_ns) \
+        elif (device.owed and device.accept_late_reply(stamp, self.unread.late_reply_ns)) \
                 or (number in self._given_up and number not in plan.slots):
-            self._note_extra(number, False, stamp)
+            self._add_extra(number, False, stamp)
             if not data and device.dialect is None and not error & ~ALERT:
-                device.acknowledged()          # Pings and reads are answered with data
+                device.accept_ack()          # Pings and reads are answered with data
         elif number in plan.slots or is_again:
-            self._note_extra(number, True, stamp)
+            self._add_extra(number, True, stamp)
         else:
-            self._note(stamp, ev.UNASKED, number, ev.NOTHING)
+            self._add_incident(stamp, ev.UNASKED, number, ev.NOTHING)
 
-    def _note_extra(self, number: int, is_second: bool, stamp: int) -> None:
+    def _add_extra(self, number: int, is_second: bool, stamp: int) -> None:
         """Note an answer more than is due: a second one, or a late one."""
         if is_second:
             plan = self.pending if number in self.pending.slots else self._before
-            self._note(stamp, ev.SECOND_ANSWER, number, ev.Code(plan.request.instruction))
+            self._add_incident(stamp, ev.SECOND_ANSWER, number, ev.Code(plan.request.instruction))
         else:
-            self._note(stamp, ev.LATE, number, ev.Lateness(self._since_asked(stamp)))
+            self._add_incident(stamp, ev.LATE, number, ev.Lateness(self._since_asked(stamp)))
 
-    def _flawed(self, frame: Frame, flaw: Flaw, stamp: int, side: str) -> bool:
+    def _process_flaw(self, frame: Frame, flaw: Flaw, stamp: int, side: str) -> bool:
         """Note what is wrong about a frame; return whether it is lost."""
         reason, is_repaired, noise, is_unstuffed, _ = flaw
         if is_unstuffed and not (noise or is_repaired):
             return False
-        if side == IN and noise > GLITCH:      # what came before the question is no matter
+        if noise > GLITCH and side == IN:      # what came before the question is no matter
             noise = min(noise, max(0, frame[0] - self.quiet_from))
         self._noise = noise
-        if reason == 'cut' and self.unread.cuts(frame, noise, self.slots, stamp):
+        if reason == 'cut' and self.unread.accept_truncated_reply(frame, noise, self.slots, stamp):
+            del self.slots[frame[3]]
             return True
-        damage, loud = pairing.TO_MASTER if side == IN else pairing.ON_THE_WIRE
-        if reason:
-            if noise > GLITCH:
-                self._state = pairing.NEXT[self._state][damage]
-            self._state = pairing.NEXT[self._state][self._damaged(frame, flaw, stamp, side)]
-            return True
-        device = self._registry.devices.get(frame[3]) if frame[2] == IS_STATUS else None
         if noise > GLITCH:
-            self._state = pairing.NEXT[self._state][loud]
-        elif noise:
+            damage, loud = pairing.TO_MASTER if side == IN else pairing.ON_THE_WIRE
+            self._state = pairing.NEXT[self._state][damage if reason else loud]
+        elif noise and not reason:
             self._evidence.counts[ev.GLITCH] += 1
-        if is_repaired and device is not None:
-            device.counts.repaired += 1
-            self._spoke.add(device.number)     # whether the others understood it, is not known
-        return False
+        if reason:
+            damage = self._process_damaged(frame, flaw, stamp, side)
+            self._state = pairing.NEXT[self._state][damage]
+        elif is_repaired and frame[2] == IS_STATUS and frame[3] in self._registry.devices:
+            self._registry.devices[frame[3]].counts.repaired += 1
+            self._damaged_ids.add(frame[3])  # whether the others understood it, is not known
+        return bool(reason)
 
-    def hear_noise(self, noise: int) -> None:
-        """Take note of noise to the master since it asked, which no frame followed."""
+    def process_noise(self, noise: int) -> None:
+        """Note noise to the master since it asked, which no frame followed."""
         if noise > GLITCH and self.slots and self._state < pairing.SPOILT:
             self._noise = noise // 2           # two may have answered
             self._state = pairing.NEXT[self._state][pairing.NOISE_IN]
@@ -331,53 +337,59 @@ class Tracker:
     @property
     def is_doubtful(self) -> bool:
         """Whether an answer may not belong to what is pending."""
-        return self._state == pairing.DOUBTFUL
+        return self._state == DOUBTFUL
 
-    def _damaged(self, frame: Frame, flaw: Flaw, stamp: int, side: str) -> int:
+    def _process_damaged(self, frame: Frame, flaw: Flaw, stamp: int, side: str) -> int:
         """Note a damaged frame; return what happened to the pairing."""
         damage, _ = pairing.TO_MASTER if side == IN else pairing.ON_THE_WIRE
         is_status, number, code, data = frame[2] == IS_STATUS, *frame[3:6]
         if is_status and number == BROADCAST and BROADCAST in self.slots:
             del self.slots[BROADCAST]
-            if self._combined(data, stamp):    # nothing is damaged: the next one is silent
+            if self._split_combined(data, stamp):    # nothing is damaged: the next one is silent
                 return pairing.BROKE_OFF
-        self._evidence.note_damage(stamp, frame, flaw, side)
+        self._evidence.add_damage(stamp, frame, flaw, side)
         if is_status and number == BROADCAST:
             return damage
         slot = self.pending.slots.get(number) if is_status else None
         if slot is not None:
-            self._speak_damaged(slot)
+            self._count_damaged(slot)
         elif self.slots and (is_status or code not in NAMES):
-            self._speak_damaged(next(iter(self.slots.values())), 0)           # it is its turn
+            self._count_damaged(next(iter(self.slots.values())), 0)           # it is its turn
         return damage
 
-    def _speak_damaged(self, slot: Slot, surely: int = 1) -> None:
-        self._spoke.add(slot.device.number)
+    def _count_damaged(self, slot: Slot, surely: int = 1) -> None:
+        self._damaged_ids.add(slot.device.number)
         slot.device.counts.garbled += 1
         slot.device.counts.damaged += surely
 
-    def _close(self, following: Said, began: int, received: int, stamp: int) -> None:
+    def _close(self, following: RawInstruction, began: int, received: int, stamp: int) -> None:
         """End the pending instruction; following: the next one, which began there."""
         slots = self._given_up = self.slots
         slots.pop(BROADCAST, None)
         due = [*filter(self._policy.is_due, slots.values())]
-        question = self._question(due)
-        now = int(self._on_wire(began, received, stamp))
-        if due and self.unread.leaves(question, now, self.byte_ns):
-            self._given_up = _NO_SLOTS
-        elif due:
-            if question.is_spoilt:
-                self._policy.look_at_noise(question, self._noise, slots.values(), now)
-            elif len(slots) == 1:
-                self.unread.give_up(due[0], question.asked, now)
-            self._policy.judge(question, now, stamp, us := self._since_asked(now))
-            if following == self._last:
-                self._note(now, ev.REPEATED, due[0].device.number, ev.Again(following[2], us))
-        elif slots and self.unread.stamp:      # only a tap says what waits
-            self.unread.pass_over(self._question([*slots.values()]))
-        if not due or question.is_spoilt:
+        if due:
+            self._end_question(self._question(due), following,
+                               int(stamp - (received - began) * self.byte_ns), stamp)
+        elif slots and self.unread.reported_ns:        # only a tap says what waits
+            self.unread.keep_uncertain(self._question([*slots.values()]))
+        if self._deferred is not None and (not due or self._state >= pairing.SPOILT):
             self._carry_out()
         self._deferred = None
+
+    def _end_question(self, question: OpenQuestion, following: RawInstruction, now: int,
+                      stamp: int) -> None:
+        """Judge a question with answers that were due and did not come, or have it deferred."""
+        if not self.unread.end_question(question, now, self.byte_ns):
+            self._given_up = _NO_SLOTS
+            return
+        first = question.due[0]
+        if question.is_spoilt:
+            self._policy.attribute_noise(question, self._noise, self.slots.values(), now)
+        elif len(self.slots) == 1:
+            self.unread.keep_given_up(first, question.asked, now)
+        self._policy.judge_question(question, now, stamp, us := self._since_asked(now))
+        if following == self._last:
+            self._add_incident(now, ev.REPEATED, first.device.number, ev.Again(following[2], us))
 
     def _since_asked(self, now: int) -> int:        # in us, from its end
         return int(now - self._on_wire(*self._asked)) // 1000
@@ -387,7 +399,7 @@ class Tracker:
         return stamp - (received - offset) * self.byte_ns
 
     def _sample_latency(self, device: Device, began: int, received: int, stamp: int) -> None:
-        if device is not self.pending.first or self._state == pairing.DOUBTFUL:
+        if device is not self.pending.first or self._state == DOUBTFUL:
             return                             # another device had its turn before it
         device.latency_resolved += 1
         end, asked_received, asked = self._asked       # as _on_wire(), which costs more

@@ -1,13 +1,37 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What a program has received and not read: only a tap knows it (Changes UNREAD, GAVE_UP, PURGED).
+Answers that a program has received and not read, and questions of which that may be so.
 
-Answers that waited when it asked the next thing belong to what it asked before, and so do those to
-questions that it did not wait for. What was not there when it closed its port did not come at all.
+Theory of operation. A monitor on the wire hears an answer when it is sent. A tap inside the
+program hears it when the program reads it, which may be much later: a program that asks A, asks B
+and then reads twice seems to ask A in vain, and the answer of A comes after question B. So a tap
+reports more than bytes, and this module uses it:
+
+- UNREAD n: n bytes waited in the receive queue. Of what is read from then on, the first n bytes
+  are old: they answer earlier questions, the oldest first.
+- GAVE_UP: the program looked for bytes until its time was up. What did not come then is missed.
+- PURGED: the program discarded what waited, or what it was about to send.
+
+Where a source never reports UNREAD, each question is judged when the next one comes.
+
+Each question has one state. PENDING is the one that the tracker waits for. When it is over and
+answers are due, it moves on as NEXT says, and so it does with each later event:
+
+- DEFERRED: its answers may wait unread or still come. An old answer that fits it ends it, a
+  damaged one has it judged, and so does time (judge_expired).
+- UNCERTAIN: its answers may have been discarded, or it is unknown whether any were due. It is not
+  judged; the size of its answers may explain what is discarded later.
+- LAST: it was open when the port closed. judge_last() decides, as soon as it is known how the
+  program ended.
+- MISSED: the tracker has it judged. DONE: it says nothing more.
+
+A question that was MISSED after the program looked for its answer may still be answered, too late
+to be read: `_given_up` keeps it for as long as an answer may be late.
 """
 
 from collections import deque
+from collections.abc import Iterable
 from itertools import accumulate
 
 from msg_defs.dxl_instruction import ALERT
@@ -17,299 +41,386 @@ from msg_defs.frame import Frames
 from msg_defs.frame import GLITCH
 from servobus.bus import evidence as ev
 from servobus.bus.device import Device
-from servobus.bus.device import OWED_NS
+from servobus.bus.device import LATE_REPLY_NS
 from servobus.bus.evidence import Evidence
-from servobus.bus.plan import AROUND
-from servobus.bus.plan import AROUND_1
 from servobus.bus.plan import Due
 from servobus.bus.plan import Plan
 from servobus.bus.plan import Slot
+from servobus.bus.plan import STATUS_OVERHEAD
+from servobus.bus.plan import STATUS_OVERHEAD_1
 from servobus.bus.registry import DeviceRegistry
 from servobus.bus.reply_policy import OpenQuestion
 from servobus.bus.reply_policy import ReplyPolicy
 from servobus.bus.report import Wait
 from servobus.bus.table import READ
 
-READ_LATE_NS = 10_000_000_000
-ADAPTER_NS = 17_000_000            # a latency timer of 16 ms, and Return Delay Time
-SPARE_NS, TIMES = 5_000_000, 2     # what an adapter is at most slower than it was before
-AT_ONCE_NS = 500_000               # who looks no longer than that did not wait for an answer
+UNREAD_REPLY_NS = 10_000_000_000   # for so long an answer may wait unread
+ADAPTER_DELAY_NS = 17_000_000      # a latency timer of 16 ms, and Return Delay Time
+ADAPTER_SPARE_NS, ADAPTER_SLOWDOWN = 5_000_000, 2      # an adapter gets slower by no more
+NO_WAIT_NS = 500_000               # who looks no longer than that did not wait for an answer
 HUNG_NS = 2_000_000_000            # a program that waits longer has no time-out
-KEPT = 16                          # questions
-ALIVE = 3                          # missed in a row, before it may be dead
-STALE = 20                         # in a row, each while an answer waited
+QUESTIONS_KEPT = 16
+ALIVE_MAX_MISSED = 2               # in a row: after more it may be dead
+STALE_MIN_QUESTIONS = 20           # in a row, each while an answer waited
+
+PENDING, DEFERRED, UNCERTAIN, LAST, MISSED, DONE = (
+    'pending', 'deferred', 'uncertain', 'last', 'missed', 'done')
+
+NOT_SENT = 'not sent'              # it was discarded before it was sent
+WAITED = 'waited'                  # the next one came, after time enough for an answer
+NOT_READ = 'not read'              # the next one came, before the program read an answer
+NOT_READ_PURGED = 'not read, purged'       # the same, and it has discarded bytes since it asked
+ANSWERED = 'answered'              # by all devices
+DAMAGED = 'damaged'                # its last answer came, and was damaged
+EXPIRED = 'expired'                # all answers would have come by now
+PURGED = 'purged'                  # the program discards bytes that waited
+PURGED_NOTHING = 'purged nothing'  # it discards what may come in this moment
+CLOSED = 'closed'                  # the port
+LOST = 'lost'                      # events were, or nothing was pending when the port was closed
+
+# Any other event leaves a question in its state.
+NEXT = {
+    PENDING: {NOT_SENT: DONE, WAITED: MISSED, NOT_READ: DEFERRED, NOT_READ_PURGED: UNCERTAIN,
+              CLOSED: LAST, LOST: DONE},
+    DEFERRED: {ANSWERED: DONE, DAMAGED: MISSED, EXPIRED: MISSED, PURGED: DONE,
+               PURGED_NOTHING: UNCERTAIN, CLOSED: LAST, LOST: DONE},
+    UNCERTAIN: {PURGED: DONE},
+}
 
 
-class Unread:
+class UnreadAnswers:
     """
-    The answers of one bus that were not read when their question was over.
+    The receive queue of the master, and the questions that are over.
 
-    until: the offset of the stream to the master up to which it is old, 0: nothing; stamp: when
-    that was said, 0: never. left: the questions whose answers may be there or come, the oldest
-    first; last: what was open when the port was closed. patience_ns: for how long an
-    answer that was given up may still come. waiting: how many bytes wait. dropped: how many were
-    thrown away since the question. unsent: the stamp of the question that was thrown away while
-    it was sent.
+    old_until: what comes before this offset of the stream to the master is old, 0: nothing is.
+    reported_ns: stamp of the last UNREAD, 0: never. deferred: the questions in that state, the
+    oldest first. discarded: how many bytes were since the last question.
     """
 
-    def __init__(self, registry: DeviceRegistry, evidence: Evidence, duty: ReplyPolicy) -> None:
-        self.until = self.stamp = self._purged = self.waiting = self._looked = self._since = 0
-        self.dropped = self._stale = 0
-        self.patience_ns, self.unsent, self._came_late = OWED_NS, -1, -1
-        self.left: deque[OpenQuestion] = deque(maxlen=KEPT)
-        self._unknown: deque[OpenQuestion] = deque(maxlen=KEPT)    # left, or thrown away
-        self.last: list[OpenQuestion] = []
-        self._given_up: deque[tuple[Slot, int]] = deque(maxlen=KEPT)
+    def __init__(self, registry: DeviceRegistry, evidence: Evidence, policy: ReplyPolicy) -> None:
         self._registry = registry
         self._evidence = evidence
-        self._duty = duty
+        self._policy = policy
+        self.old_until = self.reported_ns = self.discarded = 0
+        self._reported_at = 0              # offset of the stream at the last UNREAD
+        self._vain_read_ns = self._purged_ns = 0       # stamps of the last ones
+        self._stale_questions = 0          # in a row
+        self._unsent_ns = -1               # stamp of the question that was not sent
+        self._late_ns = -1                 # stamp of the question of which the answer was late
+        self._questions = {state: deque[OpenQuestion](maxlen=kept) for state, kept in (
+            (UNCERTAIN, QUESTIONS_KEPT), (DEFERRED, QUESTIONS_KEPT), (LAST, None), (DONE, 0))}
+        self.deferred = self._questions[DEFERRED]
+        self._given_up: deque[tuple[Slot, int]] = deque(maxlen=QUESTIONS_KEPT)
 
-    def say(self, waiting: int, received: int, stamp: int) -> None:
-        """Take note of how many bytes wait, after `received` that were read."""
+    @property
+    def waiting(self) -> int:
+        """How many bytes waited at the last report, if they are not read yet."""
+        return self.old_until and self.old_until - self._reported_at
+
+    @property
+    def late_reply_ns(self) -> int:
+        """For how long an answer that was given up may still come."""
+        return UNREAD_REPLY_NS if self.reported_ns else LATE_REPLY_NS
+
+    # --- what the tap reports -------------------------------------------------------------------
+
+    def report_waiting(self, waiting: int, received: int, stamp: int) -> None:
+        """Set how many bytes wait, after `received` that were read."""
         if not waiting:
-            self._stale = 0
-        elif received > self._since:
-            self._stale += 1
-            if self._stale % STALE == 0:
-                self._evidence.note(stamp, ev.STALE, ev.NO_DEVICE, ev.NOTHING)
-        self.waiting, self.until = waiting, waiting and received + waiting
-        self._since = received
-        self.stamp, self.patience_ns = stamp, READ_LATE_NS
+            self._stale_questions = 0
+        elif received > self._reported_at:
+            self._stale_questions += 1
+            if self._stale_questions % STALE_MIN_QUESTIONS == 0:
+                self._evidence.add_incident(stamp, ev.STALE, ev.NO_DEVICE, ev.NOTHING)
+        self.old_until = waiting and received + waiting
+        self._reported_at, self.reported_ns = received, stamp
 
-    def look(self, stamp: int) -> None:
-        """Take note that the program looked for bytes in vain."""
-        self._looked = stamp
+    def report_vain_read(self, stamp: int) -> None:
+        """Note that the program looked for bytes until now, and there were none."""
+        self._vain_read_ns = stamp
 
-    def leaves(self, question: OpenQuestion, now: int, byte_ns: float) -> bool:
-        """Take a question that is over; return whether its answer may be there or come."""
-        if self._notes_unsent(question, now):
-            return True
-        if not self.until and (
-                not self.stamp or question.is_spoilt or self._looked > question.asked + AT_ONCE_NS
-                or self._has_had_time(question, now, byte_ns)):
-            return False
-        waited, slot = now - question.asked, question.due[0]
-        if waited < byte_ns * (AROUND_1 + slot.size):      # no answer is over so soon
-            self._evidence.waits.append(Wait(now, waited // 1000, slot.device.number, False))
-        (self.left if self._purged < question.asked else self._unknown).append(question)
-        return True
+    def report_unsent(self, asked: int, stamp: int) -> None:
+        """Note that the program discarded what it was about to send: its question, if just now."""
+        if stamp < asked + NO_WAIT_NS:
+            self._unsent_ns = asked
 
-    def pass_over(self, question: OpenQuestion) -> None:
-        """Take a write that is over, of which it is unknown whether it is acknowledged."""
-        self._unknown.append(question)
-
-    def _notes_unsent(self, question: OpenQuestion, now: int) -> bool:
-        """Note a question that was thrown away while it was sent; return whether it was."""
-        is_unsent, request = self.unsent == question.asked, question.plan.request
-        if is_unsent:
-            self._evidence.note(now, ev.NOT_SENT, request.id, ev.Code(request.instruction))
-        return is_unsent
-
-    def expire(self, now: int, byte_ns: float) -> None:
-        """Judge what was left long enough ago, where nothing waits."""
-        while not self.until and self.left and self._has_had_time(self.left[0], now, byte_ns):
-            self._duty.judge(self.left.popleft(), now, now)
-
-    def _has_had_time(self, question: OpenQuestion, now: int, byte_ns: float,
-                      adapter_ns: float = ADAPTER_NS) -> bool:
-        size = sum(slot.size + AROUND for slot in question.due)
-        return now - question.asked >= adapter_ns + byte_ns * size
-
-    def _slowest_ns(self) -> float:
-        """Return how long to wait for data, by how soon answers came before."""
-        known = [device.latency.total() for device in self._registry.devices.values()]
-        return min(ADAPTER_NS, SPARE_NS + TIMES * 1e6 * max(
-            (one.maximum for one in known if one is not None), default=ADAPTER_NS))
-
-    def purge(self, plan: Plan, slots: dict[int, Slot], asked: int, received: int,
-              stamp: int) -> None:
+    def report_purge(self, plan: Plan, slots: dict[int, Slot], asked: int, received: int,
+                     stamp: int) -> bool:
         """
-        Take note that the program threw away what it had received.
+        Note that the program discarded what waited; return whether all awaited answers were there.
 
-        slots: what it waits for; received: the offset where that begins. If it never looked for
-        it, and just that is there, or with it what it left, it throws away what it asked for; it
-        may have taken other bytes for that. Else that may be the answer that it gave up last; or,
-        where it has all that it asked one device for, as many bytes again are from a second
-        device with that ID.
+        slots: the awaited answers to `plan`; received: the offset where they begin. If the program
+        never looked for them, and what waited has just their size, or that of them and of earlier
+        ones, it discarded them. Else it may be the answer that it gave up last; or, where it has
+        all that it asked one device for, as many bytes again are from a second one with that ID.
         """
-        request = plan.request
-        left = [slot for question in (*self.left, *self._unknown) for slot in question.due
-                if stamp - question.asked < OWED_NS]
-        thrown = [*slots.values()]
-        if self.waiting > sum(slot.status_size for slot in thrown):
-            thrown = [*left, *thrown]
-        if slots and self._looked <= asked and self.waiting == sum(
-                slot.status_size for slot in thrown):
-            if self._since == received:
-                self._evidence.note(
-                    stamp, ev.THROWN_AWAY, request.id, ev.Code(request.instruction))
-            self.dropped = 0
-            for one in thrown:
-                self._registry.heard(one.device, 0, stamp)
-                if one.due is Due.ACK:
-                    one.device.acknowledged()
-            slots.clear()
+        waiting, awaited = self.waiting, [*slots.values()]
+        if waiting > _size_of(awaited):
+            awaited = [slot for state in (DEFERRED, UNCERTAIN) for question in
+                       self._questions[state] for slot in question.due
+                       if stamp - question.asked < LATE_REPLY_NS] + awaited
+        is_all = bool(slots) and self._vain_read_ns <= asked and waiting == _size_of(awaited)
+        if is_all:
+            if self._reported_at == received:
+                self._evidence.add_incident(stamp, ev.THROWN_AWAY, plan.request.id,
+                                    ev.Code(plan.request.instruction))
+            self.discarded = 0
+            for slot in awaited:
+                self._registry.accept_status(slot.device, 0, stamp)
+                if slot.due is Due.ACK:
+                    slot.device.accept_ack()
         else:
-            self._take_rest(slots, plan, asked, stamp)
-        if self.waiting:
-            self._unknown.clear()
-        else:
-            self._unknown.extend(self.left)
-        self.until = self.waiting = self._stale = 0
-        self._purged = stamp
-        self.left.clear()
+            self._explain_discarded(slots, plan, asked, stamp)
+        self._move_all(PURGED if waiting else PURGED_NOTHING)
+        self.old_until = self._stale_questions = 0
+        self._purged_ns = stamp
+        return is_all
 
-    def give_up(self, slot: Slot, asked: int, now: int) -> None:
-        """Take an answer that was looked for and may come late: of one that lives, or soon."""
-        device = slot.device
-        lives = device.heard and device.missed_in_a_row < ALIVE
-        if self._looked > asked != self._came_late and (lives or now - asked < ADAPTER_NS):
-            self._given_up.append((slot, now))
-
-    def _take_rest(self, slots: dict[int, Slot], plan: Plan, asked: int, stamp: int) -> None:
-        """Take what is thrown away; slots: what was looked for in vain since it was asked."""
-        given_up = [one for one in self._given_up if stamp - one[1] < OWED_NS]
-        due = [slot for slot, _ in given_up]
-        due += slots.values() if len(slots) == 1 and self._looked > asked else ()
-        sizes = [0, *accumulate(slot.status_size for slot in due)]
-        begin, end = (0, sizes.index(self.waiting)) if self.waiting in sizes else next(
-            ((at, at + 1) for at, slot in enumerate(due) if slot.status_size == self.waiting),
-            (0, 0))
-        for slot in due[begin:end]:
-            self._registry.heard(slot.device, 0, stamp)
-            self._evidence.note(stamp, ev.LATE, slot.device.number, ev.Lateness(0))
+    def _explain_discarded(self, slots: dict[int, Slot], plan: Plan, asked: int,
+                           stamp: int) -> None:
+        """Find whose late or second answer was discarded; slots: of those that did not come."""
+        waiting = self.waiting
+        given_up = [one for one in self._given_up if stamp - one[1] < LATE_REPLY_NS]
+        late = [slot for slot, _ in given_up]
+        late += slots.values() if len(slots) == 1 and self._vain_read_ns > asked else ()
+        sizes = [0, *accumulate(slot.status_size for slot in late)]
+        begin, end = (0, sizes.index(waiting)) if waiting in sizes else next(
+            ((at, at + 1) for at, slot in enumerate(late) if slot.status_size == waiting), (0, 0))
+        for slot in late[begin:end]:
+            self._registry.accept_status(slot.device, 0, stamp)
+            self._evidence.add_incident(stamp, ev.LATE, slot.device.number, ev.Lateness(0))
         if end > len(given_up):
-            self._came_late = asked
-        self._given_up = deque(given_up[:begin] + given_up[end:], KEPT)
+            self._late_ns = asked
+        self._given_up = deque(given_up[:begin] + given_up[end:], QUESTIONS_KEPT)
         answered = None if slots or end else plan.slots.get(plan.request.id)
-        if answered is not None and self.waiting == answered.status_size:
-            self._evidence.note(stamp, ev.SECOND_ANSWER, answered.device.number,
+        if answered is not None and waiting == answered.status_size:
+            self._evidence.add_incident(stamp, ev.SECOND_ANSWER, answered.device.number,
                                 ev.Code(plan.request.instruction))
 
-    def cuts(self, frame: Frame, noise: int, slots: dict[int, Slot], stamp: int) -> bool:
-        """Take an answer of which the program threw the end away, after noise; or return False."""
-        begin, end, _, number, _, _, flaw = frame
-        if not self.dropped or flaw is None:
-            return False
-        slot = slots.get(number)
-        if slot is None or noise > GLITCH or end - begin + self.dropped != slot.status_size:
-            return False
-        del slots[number]
-        self.dropped = 0
-        slot.device.counts.answers += 1
-        self._registry.heard(slot.device, 0, stamp)
-        self._evidence.counts[ev.GLITCH] += noise > 0
-        self._evidence.waits.append(Wait(stamp, 0, number, True))      # it got no whole answer
-        return True
+    # --- a question is over ---------------------------------------------------------------------
 
-    def end_answer(self, plan: Plan, received: int, is_noisy: bool) -> None:
-        """Count an answer that was longer, by no stray byte; is_noisy: no packet was its end."""
-        if (is_noisy or self.dropped) and len(plan.slots) == 1 and not (self.left or self.until):
-            slot = next(iter(plan.slots.values()))
-            slot.device.counts.surplus += received + self.dropped > slot.status_size + 1
-        self.dropped = 0
+    def end_question(self, question: OpenQuestion, now: int, byte_ns: float) -> bool:
+        """Accept a question with answers that are due; return whether these are missed."""
+        if self._unsent_ns == question.asked:
+            self._note_unsent(question, now)
+            event = NOT_SENT
+        elif not self.old_until and (
+                not self.reported_ns or question.is_spoilt or self._has_waited(question)
+                or self._has_had_time(question, now, byte_ns)):
+            event = WAITED
+        else:
+            event = NOT_READ if self._purged_ns < question.asked else NOT_READ_PURGED
+            waited, slot = now - question.asked, question.due[0]
+            if waited < byte_ns * (STATUS_OVERHEAD_1 + slot.size):      # no answer is over so soon
+                self._evidence.add_wait(Wait(now, waited // 1000, slot.device.number, False))
+        state = NEXT[PENDING][event]
+        if state == MISSED:
+            return True
+        self._questions[state].append(question)
+        return False
 
-    def take(self, frames: Frames, stamp: int, received: int, before: Plan) -> Frames:
-        """Take the answers that are old; return the other frames; before: the last but one."""
+    def keep_uncertain(self, question: OpenQuestion) -> None:
+        """Accept a write that is over, of which it is unknown whether it is acknowledged."""
+        self._questions[UNCERTAIN].append(question)
+
+    def keep_given_up(self, slot: Slot, asked: int, now: int) -> None:
+        """Keep a missed answer that was looked for, if it may be late: it lives, or it is soon."""
+        device = slot.device
+        lives = device.heard and device.missed_in_a_row <= ALIVE_MAX_MISSED
+        if self._vain_read_ns > asked != self._late_ns and (
+                lives or now - asked < ADAPTER_DELAY_NS):
+            self._given_up.append((slot, now))
+
+    def judge_expired(self, now: int, byte_ns: float) -> None:
+        """Judge what was deferred long enough ago, where nothing waits."""
+        while not self.old_until and self.deferred \
+                and self._has_had_time(self.deferred[0], now, byte_ns):
+            self._end_deferred(self.deferred[0], EXPIRED, now)
+
+    def close(self, pending: OpenQuestion | None) -> None:
+        """End all: the port is closed, or events were lost; pending: the question till then."""
+        if pending is not None:
+            self._questions[LAST].clear()
+        self._move_all(LOST if pending is None else CLOSED)
+        if pending is not None:
+            self._questions[NEXT[PENDING][CLOSED]].append(pending)
+
+    def _move_all(self, event: str) -> None:
+        """Move the questions that are over as NEXT says."""
+        moved = [(NEXT[state].get(event, state), [*self._questions[state]])
+                 for state in (UNCERTAIN, DEFERRED)]
+        for state in (UNCERTAIN, DEFERRED):
+            self._questions[state].clear()
+        for state, questions in moved:
+            self._questions[state].extend(questions)
+
+    def _end_deferred(self, question: OpenQuestion, event: str, stamp: int) -> None:
+        self.deferred.remove(question)
+        if NEXT[DEFERRED][event] == MISSED:
+            self._policy.judge_question(question, stamp, stamp)
+
+    def _note_unsent(self, question: OpenQuestion, now: int) -> None:
+        request = question.plan.request
+        self._evidence.add_incident(now, ev.NOT_SENT, request.id, ev.Code(request.instruction))
+
+    def _has_waited(self, question: OpenQuestion) -> bool:
+        """Return whether the program looked for the answer for some time."""
+        return self._vain_read_ns > question.asked + NO_WAIT_NS
+
+    def _has_had_time(self, question: OpenQuestion, now: int, byte_ns: float,
+                      delay_ns: float = ADAPTER_DELAY_NS) -> bool:
+        """Return whether all answers would have come by now."""
+        size = sum(slot.size + STATUS_OVERHEAD for slot in question.due)
+        return now - question.asked >= delay_ns + byte_ns * size
+
+    # --- what the program reads -----------------------------------------------------------------
+
+    def take_old_answers(self, frames: Frames, stamp: int, received: int,
+                         before: Plan) -> Frames:
+        """Take answers to earlier questions; return the other frames; before: the plan before."""
         rest = []
         for frame in frames:
             begin, _, kind, number, code, data, flaw = frame
-            is_old = begin < self.until
-            if kind or not (is_old or self.left):
+            is_old = begin < self.old_until
+            if kind or not (is_old or self.deferred) or (
+                    self.discarded and flaw is not None and flaw.reason == 'cut'):
                 rest.append(frame)
             elif flaw is not None and flaw.reason:
-                self._evidence.note_damage(stamp, frame, flaw, IN)
-                self._spoil(number, stamp)
-            elif not self._answer(number, code, data, stamp):
-                if begin < self._since:        # it was hidden by damage
-                    self._registry.heard(self._registry.device(number), code, stamp)
+                self._evidence.add_damage(stamp, frame, flaw, IN)
+                self._judge_damaged(number, stamp)
+            elif not self._answer_deferred(number, code, data, stamp):
+                if begin < self._reported_at:      # it was hidden by damage
+                    self._registry.accept_status(self._registry.device(number), code, stamp)
                 elif is_old:
-                    self._take_extra(self._registry.device(number), code, data, stamp, before)
+                    self._accept_extra(self._registry.device(number), code, data, stamp, before)
                 else:
                     rest.append(frame)
-        if received >= self.until:             # all of it is read
-            self.until = self.waiting = 0
+        if received >= self.old_until:             # all of it is read
+            self.old_until = 0
         return rest
 
-    def _take_extra(self, device: Device, code: int, data: bytes, stamp: int,
-                    before: Plan) -> None:
-        """Take an answer that waited and that nothing asked for, as far as is known."""
-        self._registry.heard(device, code, stamp)
-        if device.pays(stamp, self.patience_ns):
-            self._evidence.note(stamp, ev.LATE, device.number, ev.Lateness(0))
+    def _answer_deferred(self, number: int, code: int, data: bytes, stamp: int) -> bool:
+        """Give an answer to the oldest question that it fits; return whether there is one."""
+        error = code & ~ALERT
+        found = next(((question, slot) for question in self.deferred for slot in question.due
+                      if slot.device.number == number and (error or len(data) == slot.size)), None)
+        if found is None:
+            return False
+        question, slot = found
+        device = slot.device
+        question.due.remove(slot)
+        if not question.due:
+            self._end_deferred(question, ANSWERED, stamp)
+        device.counts.answers += 1
+        self._registry.accept_status(device, code, stamp)
+        device.last_error = error
+        if error:
+            self._policy.count_refusal(slot, question.plan.request.instruction, error, stamp)
+        elif slot.accept(slot.span, data, stamp, READ) and question.effect is not None:
+            action, arguments = question.effect
+            action(*arguments)
+        return True
+
+    def _accept_extra(self, device: Device, code: int, data: bytes, stamp: int,
+                      before: Plan) -> None:
+        """Accept an answer that waited and that nothing asked for, as far as is known."""
+        self._registry.accept_status(device, code, stamp)
+        if device.accept_late_reply(stamp, self.late_reply_ns):
+            self._evidence.add_incident(stamp, ev.LATE, device.number, ev.Lateness(0))
         elif before.asks(device, len(data)):
-            self._evidence.note(stamp, ev.SECOND_ANSWER, device.number,
+            self._evidence.add_incident(stamp, ev.SECOND_ANSWER, device.number,
                                 ev.Code(before.request.instruction))
 
-    def _answer(self, number: int, code: int, data: bytes, stamp: int) -> bool:
-        """Take an answer to the oldest question that it fits; return whether there is one."""
-        error = code & ~ALERT
-        for question in self.left:
-            for slot in question.due:
-                device = slot.device
-                if device.number != number or not (error or len(data) == slot.size):
-                    continue
-                question.due.remove(slot)
-                if not question.due:
-                    self.left.remove(question)
-                device.counts.answers += 1
-                self._registry.heard(device, code, stamp)
-                device.last_error = error
-                if error:
-                    self._duty.refuse(slot, question.plan.request.instruction, error, stamp)
-                elif slot.due is not Due.ACK:
-                    slot.take(slot.span, data, stamp, READ)
-                else:
-                    device.acknowledged()
-                    if question.effect is not None:
-                        action, arguments = question.effect
-                        action(*arguments)
-                return True
-        return False
-
-    def _spoil(self, number: int, stamp: int) -> None:
-        """Take a damaged answer: that to the oldest question, or to one to this device."""
-        found = [(question, slot) for question in self.left for slot in question.due]
+    def _judge_damaged(self, number: int, stamp: int) -> None:
+        """Accept a damaged answer: that to the oldest question, or to one to this device."""
+        found = [(question, slot) for question in self.deferred for slot in question.due]
         found.sort(key=lambda one: one[1].device.number != number)
         for question, slot in found[:1]:
-            question.spoke.add(slot.device.number)
+            question.damaged_ids.add(slot.device.number)
             slot.device.counts.garbled += 1
             slot.device.counts.damaged += 1
             if len(question.due) == 1:
-                self.left.remove(question)
-                self._duty.judge(question, stamp, stamp)
+                self._end_deferred(question, DAMAGED, stamp)
 
-    def end(self, end: int, failed: bool, byte_ns: float) -> None:
+    def accept_truncated_reply(self, frame: Frame, noise: int, slots: dict[int, Slot],
+                               stamp: int) -> bool:
+        """Accept an answer of which the program discarded just the end; or return False."""
+        begin, end, _, number, *_ = frame
+        slot = slots.get(number) if self.discarded and noise <= GLITCH else None
+        if slot is None or end - begin + self.discarded != slot.status_size:
+            return False
+        self.discarded = 0
+        slot.device.counts.answers += 1
+        self._registry.accept_status(slot.device, 0, stamp)
+        self._evidence.counts[ev.GLITCH] += noise > 0
+        self._evidence.add_wait(Wait(stamp, 0, number, True))      # it got no whole answer
+        return True
+
+    def count_overlong_reply(self, plan: Plan, received: int, is_noisy: bool) -> None:
+        """Count an answer that was longer, by no stray byte; is_noisy: no packet was its end."""
+        if (is_noisy or self.discarded) and len(plan.slots) == 1 \
+                and not (self.deferred or self.old_until):
+            slot = next(iter(plan.slots.values()))
+            slot.device.counts.surplus += received + self.discarded > slot.status_size + 1
+        self.discarded = 0
+
+    # --- the program has ended ------------------------------------------------------------------
+
+    def judge_last(self, end: int, failed: bool, byte_ns: float) -> None:
         """
         Judge the questions that a program ended with, if their answers had their time.
 
         end: when it was heard last; failed: it ended by itself with an error.
         """
-        end = max(end, self.stamp, self._looked)
-        for question in self.last:
-            first, waited = next(iter(question.due), None), end - question.asked
-            if waited > HUNG_NS and first is not None and first.due is not Due.ACK \
-                    and not self.until and max(self._looked, self._purged) < question.asked:
-                self._evidence.note(end, ev.HUNG, first.device.number, ev.Lateness(waited // 1000))
-                continue
-            now = max(self.stamp, self._looked)
-            slots = [*question.plan.slots.values()]
-            is_passed = bool(slots) and slots[-1] not in question.due      # the others had a turn
-            if is_passed:
-                now = max(now, question.asked + 1)
-            waited = failed and (question.is_spoilt
-                                 or self._looked > question.asked + AT_ONCE_NS)
-            due = [slot for slot in question.due if self._duty.is_due(slot)
-                   or (waited and slot.device.acks is None)]
-            if not due or now < question.asked or self._notes_unsent(question, now):
-                continue
-            us = (now - question.asked) // 1000
-            is_known = is_passed or question.is_spoilt or question.spoke or (
-                self._has_had_time(question, now, byte_ns, self._slowest_ns() if all(
-                    slot.due is not Due.ACK for slot in due) else ADAPTER_NS)
-                and not self.until and self._purged < question.asked)
-            if failed and is_known:
-                self._duty.judge(question._replace(due=due), now, now, us)
-            elif question is self.last[-1] and (failed or not due[0].device.heard):
-                self._evidence.note(now, ev.LEFT_OPEN, due[0].device.number, ev.Lateness(us))
-        self.last = []
+        questions = self._questions[LAST]
+        end = max(end, self.reported_ns, self._vain_read_ns)
+        for question in questions:
+            slot, waited = next(iter(question.due), None), end - question.asked
+            if waited > HUNG_NS and slot is not None and slot.due is not Due.ACK \
+                    and not self.old_until \
+                    and max(self._vain_read_ns, self._purged_ns) < question.asked:
+                self._evidence.add_incident(end, ev.HUNG, slot.device.number,
+                                            ev.Lateness(waited // 1000))
+            else:
+                self._judge_open(question, failed, question is questions[-1], byte_ns)
+        questions.clear()
+
+    def _judge_open(self, question: OpenQuestion, failed: bool, is_last: bool,
+                    byte_ns: float) -> None:
+        now = max(self.reported_ns, self._vain_read_ns)
+        slots = [*question.plan.slots.values()]
+        is_passed = bool(slots) and slots[-1] not in question.due      # the others had a turn
+        if is_passed:
+            now = max(now, question.asked + 1)
+        has_waited = failed and (question.is_spoilt or self._has_waited(question))
+        due = [slot for slot in question.due if self._policy.is_due(slot)
+               or (has_waited and slot.device.acks is None)]
+        us = (now - question.asked) // 1000
+        if not due or now < question.asked:
+            return
+        if self._unsent_ns == question.asked:
+            self._note_unsent(question, now)
+        elif failed and (is_passed or question.is_spoilt or question.damaged_ids
+                       or self._had_time_at_end(question, due, now, byte_ns)):
+            self._policy.judge_question(question._replace(due=due), now, now, us)
+        elif is_last and (failed or not due[0].device.heard):
+            self._evidence.add_incident(now, ev.LEFT_OPEN, due[0].device.number, ev.Lateness(us))
+
+    def _had_time_at_end(self, question: OpenQuestion, due: list[Slot], now: int,
+                         byte_ns: float) -> bool:
+        """Return whether all answers would have come, to a program that read all that did."""
+        delay_ns = ADAPTER_DELAY_NS if any(slot.due is Due.ACK for slot in due) \
+            else self._slowest_ns()
+        return self._has_had_time(question, now, byte_ns, delay_ns) \
+            and not self.old_until and self._purged_ns < question.asked
+
+    def _slowest_ns(self) -> float:
+        """Return how long to wait for data, by how soon answers came before."""
+        known = [device.latency.total() for device in self._registry.devices.values()]
+        return min(ADAPTER_DELAY_NS, ADAPTER_SPARE_NS + ADAPTER_SLOWDOWN * 1e6 * max(
+            (one.maximum for one in known if one is not None), default=ADAPTER_DELAY_NS))
+
+
+def _size_of(slots: Iterable[Slot]) -> int:
+    """Return how many bytes these answers have on the wire."""
+    return sum(slot.status_size for slot in slots)

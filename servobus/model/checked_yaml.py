@@ -29,7 +29,7 @@ INTEGER_BITS = 64            # the widest register has so many
 FILE_LIMIT = 500_000         # bytes; our longest file has 11 000
 NODES_LIMIT = 60_000         # values, what aliases stand for counted each time; ours have 800
 DEPTH_LIMIT = 50             # libyaml calls itself for each level: too many kill the process
-TOLD = 1000                  # characters of a part of a message, at most
+MESSAGE_PART_MAX_CHARS = 1000                  # characters of a part of a message, at most
 NUMBER_END = 1e100           # beyond every register, and not infinite as a float
 Raw = dict[str, Any]               # what a file says of one thing, by key
 
@@ -38,8 +38,9 @@ class ModelError(ServobusError):
     """A model file that cannot be used: 'file: field: reason; remedy' in one line."""
 
     def __init__(self, file: str | Path, field: str, reason: str, remedy: str) -> None:
-        super().__init__(': '.join(printable(part, TOLD) for part in (str(file), field, reason)
-                                   if part) + f'; {printable(remedy, TOLD)}')
+        parts = [printable(part, MESSAGE_PART_MAX_CHARS)
+                 for part in (str(file), field, reason) if part]
+        super().__init__(f'{": ".join(parts)}; {printable(remedy, MESSAGE_PART_MAX_CHARS)}')
         self.file = str(file)
         self.field = field
         self.reason = reason
@@ -87,7 +88,7 @@ def read_yaml(path: Path) -> Any:
         raise ModelError(path, '', f'cannot be read: {error.strerror}',
                          'check the file and its permissions') from None
     try:
-        _weigh(text)
+        _check_weight(text)
         return yaml.load(text, _Loader)
     except (yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError) as error:
         # All but the first: what PyYAML raises for a value that is not of its tag, as !!int x.
@@ -112,7 +113,7 @@ def _open(path: str, flags: int) -> int:
     return os.open(path, flags | os.O_NONBLOCK)        # a pipe would keep us waiting
 
 
-def _weigh(text: bytes) -> None:
+def _check_weight(text: bytes) -> None:
     """Refuse what takes libyaml's stack or all memory; goes through the events, builds nothing."""
     weights: dict[str, int] = {}               # values, by anchor
     within: list[tuple[str | None, int]] = []  # anchor, and how many values were before it

@@ -48,13 +48,13 @@ class TooManyError(ModelError):
     """A file with repeats that would take all time and memory; the rest of it is not built."""
 
 
-class Room:
+class FieldBudget:
     """How many fields the entries of a file may still make; repeats in repeats multiply."""
 
     def __init__(self) -> None:
         self._left = FIELDS_LIMIT
 
-    def take(self, fields: list[Field], count: int, check: Check) -> None:
+    def spend(self, fields: list[Field], count: int, check: Check) -> None:
         self._left -= count * sum(1 + len(field.cases.fields if field.cases else ())
                                   for field in fields)
         if self._left < 0:
@@ -69,7 +69,7 @@ class Context(NamedTuple):
     words: Mapping[str, Any]
     included: Callable[[str], Iterable[Field]]
     report: Callable[[ModelError], None]
-    room: Room
+    budget: FieldBudget
     byte_order: Literal['little', 'big'] = 'little'
 
 
@@ -86,7 +86,7 @@ def _try_entry(entry: Any, context: Context) -> list[Field]:
         check.mapping(entry, GROUP_KEYS if group else FIELD_KEYS)
         return list(_build_group(entry, check, context) if group
                     else _repeat(entry, [_build_field(entry, check, context)], check,
-                                 context.room))
+                                 context.budget))
     except TooManyError:
         raise
     except ModelError as error:
@@ -101,13 +101,13 @@ def _build_group(entry: Raw, check: Check, context: Context) -> Iterator[Field]:
         if 'include' in entry else []
     fields += build_fields(entry.get('fields', []), context)
     return _repeat(entry, [_moved(field, shift, lambda name: prefix + name, check)
-                           for field in fields], check, context.room)
+                           for field in fields], check, context.budget)
 
 
 def _repeat(entry: Raw, fields: list[Field], check: Check,
-            room: Room) -> Iterator[Field]:
+            budget: FieldBudget) -> Iterator[Field]:
     count = check.integer(entry.get('repeat', 1), 'repeat', 1, REPEAT_LIMIT)
-    room.take(fields, count, check)
+    budget.spend(fields, count, check)
     if count > 1 and any('{n}' not in field.name for field in fields):
         raise check.error('repeat without {n} in the name', "name it as 'Error Code History {n}'")
     size = fields[0].size if len(fields) == 1 else None

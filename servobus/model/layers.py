@@ -29,7 +29,7 @@ from servobus.model.control_table import PROTOCOLS
 from servobus.model.file import build_fields
 from servobus.model.file import build_indirect
 from servobus.model.file import Context
-from servobus.model.file import Room
+from servobus.model.file import FieldBudget
 
 FILE_KEYS = {'model_numbers', 'source', 'include', 'without', 'fields', 'words', 'indirect',
              'aliases', 'blocks', 'each', 'firmware', 'torque_constants', 'protocol', 'byte_order'}
@@ -64,7 +64,7 @@ class Layer(NamedTuple):
     indirect_fields: tuple[Field, ...] = ()
     aliases: dict[str, str] = {}
 
-    def over(self, below: Layer) -> Layer:
+    def laid_over(self, below: Layer) -> Layer:
         """Lay this over `below`; aliases of what is no longer there go too."""
         fields = {**below.fields, **self.fields}
         indirect = self if self.indirect else below
@@ -79,7 +79,7 @@ class Layer(NamedTuple):
                             key=lambda field: field.at))
 
 
-def stop(error: ModelError) -> None:
+def raise_error(error: ModelError) -> None:
     raise error
 
 
@@ -91,7 +91,7 @@ class Layers:
     """
 
     def __init__(self, folder: Path, beneath: Path,
-                 report: Callable[[ModelError], None] = stop) -> None:
+                 report: Callable[[ModelError], None] = raise_error) -> None:
         self._folders = (folder, beneath)
         self._report = report
         self._definitions: dict[Path, Definition] = {}
@@ -154,10 +154,10 @@ class Layers:
             layer = self._layer(path, ())
             for entry in raw.get('firmware', ()):
                 if variant is not None and entry['up_to'] == variant:
-                    layer = self._lay(entry, layer, path, ())
+                    layer = self._lay_over(entry, layer, path, ())
             if own is not None:
                 Check(path, f'each {number & NUMBER_MASK}').mapping(own, EACH_KEYS)
-                layer = self._lay(own, layer, path, ())
+                layer = self._lay_over(own, layer, path, ())
             self._check_whole(path, layer)
             self._whole[key] = layer
         return self._whole[key]
@@ -175,8 +175,8 @@ class Layers:
         check = Check(path, 'include')
         include = raw.get('include', [])
         for name in check.sequence([include] if isinstance(include, str) else include, 'include'):
-            layer = self._layer(self._find(check, name), (*above, path)).over(layer)
-        layer = self._lay(raw, layer, path, above)
+            layer = self._layer(self._find(check, name), (*above, path)).laid_over(layer)
+        layer = self._lay_over(raw, layer, path, above)
         self._layers[path] = layer
         return layer
 
@@ -188,14 +188,14 @@ class Layers:
         raise check.error(f'no file {name}.yaml', f'put it into {self._folders[0]}, or correct '
                           'the name (without .yaml)')
 
-    def _lay(self, raw: Raw, below: Layer, path: Path,
+    def _lay_over(self, raw: Raw, below: Layer, path: Path,
              above: tuple[Path, ...]) -> Layer:
         """`raw` laid over `below`; mistakes in single fields go to report."""
         words = {**below.words, **raw.get('words', {})}
         own = self._own_fields(raw, words, path, above)
         indirect, indirect_fields = build_indirect(raw.get('indirect', []), path)
         top = Layer(own, words, indirect, tuple(indirect_fields), raw.get('aliases', {}))
-        return top.over(below._replace(fields=self._without(raw, below, path)))
+        return top.laid_over(below._replace(fields=self._without(raw, below, path)))
 
     def _own_fields(self, raw: Raw, words: Raw, path: Path,
                     above: tuple[Path, ...]) -> dict[str, Field]:
@@ -204,7 +204,7 @@ class Layers:
             return self._layer(found, (*above, path)).all_fields()
 
         own: dict[str, Field] = {}
-        context = Context(path, words, included, self._report, Room(),
+        context = Context(path, words, included, self._report, FieldBudget(),
                           self.definition(path).raw.get('byte_order', 'little'))
         for field in build_fields(raw.get('fields', []), context):
             if field.name in own:

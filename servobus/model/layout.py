@@ -25,11 +25,11 @@ from servobus.model.models import Models
 
 Use = tuple[int, int]              # address and size of what a program reads or writes
 
-ENOUGH = 3        # different registers, Torque Enable or a goal among them; or both positions
-LONGEST = 16                       # bytes: a longer read takes all there is, gaps too
+REGISTERS_NEEDED = 3  # different registers, Torque Enable or a goal among them; or both positions
+USE_MAX_BYTES = 16                       # bytes: a longer read takes all there is, gaps too
 NOWHERE = (-1, 1)                  # a use that no table has
 LITTLE, BIG = (-2, 1), (-2, 2)     # uses only of numbers that make sense in this order of bytes
-_KEPT = 256
+LAYOUTS_KEPT = 256
 # Series whose names do not begin with their letters. MX(2.0) has the table of the X series.
 _SERIES = {'X': r'2?X[A-Z]\d|2X|MX-\d+$', 'P': r'P[HM]\d', 'PRO(A)': r'[HM]\d\d-.*\(A\)',
            'PRO': r'[HLM]\d\d-', 'SMS': r'SM\d', 'Y': r'YM\d'}
@@ -47,7 +47,7 @@ POSITIONS_AT = (42, 56)            # there with Feetech
 # What a register can hold, in its unit. Of positions: by size, in rad and in steps.
 _RANGES = {'Torque Enable': 1, 'Present Temperature': 120, 'Present Input Voltage': 400}
 _FARTHEST = {2: (2 * pi, 4095), 4: (512 * pi, 1 << 22)}
-_REFUSALS = 3
+REFUSALS_NEEDED = 3
 _WRONG_TABLE = (5, 7)              # error numbers: data length, access
 
 
@@ -59,13 +59,13 @@ class Layouts:
         self._servos: list[Model] = []
         self._known: dict[tuple[str, frozenset[Use]], Model] = {}
 
-    def of(self, protocol: str, used: frozenset[Use]) -> Model:
+    def find_layout(self, protocol: str, used: frozenset[Use]) -> Model:
         """Return the registers of a device with which a program does that; or UNKNOWN."""
         found = self._known.get((protocol, used))
         if found is None:
-            if len(self._known) >= _KEPT:
+            if len(self._known) >= LAYOUTS_KEPT:
                 self._known.clear()
-            found = self._known[protocol, used] = agreed(
+            found = self._known[protocol, used] = agreed_model(
                 (one for one in self.servos() if one.protocol == protocol), used)
         return found
 
@@ -77,7 +77,7 @@ class Layouts:
         return self._servos
 
 
-def agreed(tables: Iterable[Model], used: Collection[Use]) -> Model:
+def agreed_model(tables: Iterable[Model], used: Collection[Use]) -> Model:
     """Return the registers on which all tables agree that have what is used; or UNKNOWN."""
     orders = [name for name, use in (('little', LITTLE), ('big', BIG)) if use in used]
     order = orders[0] if len(orders) == 1 else ''      # both: neither is certain
@@ -94,7 +94,8 @@ def agreed(tables: Iterable[Model], used: Collection[Use]) -> Model:
     knows_order = bool(order) or first.protocol != 'feetech' or all(
         not registers.isdisjoint(_TELLS_ORDER) for registers in fits.values())
     named = _COMMON if is_enough else _BASIC
-    found = [_agreed([field, *(table.by_address.get(field.at) for table in others)], knows_units)
+    found = [_agreed_field([field, *(table.by_address.get(field.at) for table in others)],
+                           knows_units)
              for field in first.fields if (field.size == 1 or knows_order)
              and (field.name in named or (is_enough and len(series) == 1))
              and (is_enough or (field.at, field.size) in uses)]
@@ -116,7 +117,7 @@ def _is_eeprom(table: Model, at: int, size: int) -> bool:
 
 
 def _is_enough(registers: set[str]) -> bool:
-    return registers.issuperset(POSITIONS) or (len(registers) >= ENOUGH and any(
+    return registers.issuperset(POSITIONS) or (len(registers) >= REGISTERS_NEEDED and any(
         name == 'Torque Enable' or name.startswith('Goal') for name in registers))
 
 
@@ -144,7 +145,7 @@ def _registers(table: Model, used: Iterable[Use]) -> set[str]:
     return names
 
 
-def _agreed(fields: list[Field | None], knows_units: bool) -> Field | None:
+def _agreed_field(fields: list[Field | None], knows_units: bool) -> Field | None:
     """Return what all say of a register, None if they do not even agree on what it is."""
     first = fields[0]
     assert first is not None
@@ -186,7 +187,7 @@ def is_contradicted(layout: Model, values: Iterable[tuple[Field, Value]],
     """Return whether values or refusals (instruction, address, error) speak against a layout."""
     if any(_cannot_be(field, value) for field, value in values):
         return True
-    return any(count >= _REFUSALS and error in _WRONG_TABLE and field is not None
+    return any(count >= REFUSALS_NEEDED and error in _WRONG_TABLE and field is not None
                and not (field.memory == 'eeprom' and 'w' in field.access)
                for (_, address, error), count in refused.items()
                for field in [layout.by_address.get(address)])

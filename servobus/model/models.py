@@ -5,7 +5,7 @@ Models: which device has which control table, found in folders of model files.
 
 At the start only the line `model_numbers` of each file is read, so that the built-in models cost
 nothing until a device shows up; folders of the user's are checked in full, because a wrong file
-of theirs must stop the start. A user's folder wins over the built-in one, number by number.
+of theirs must raise_error the start. A user's folder wins over the built-in one, number by number.
 """
 
 from __future__ import annotations

@@ -31,12 +31,12 @@ class Watched(BusDecoder):
         super().__init__(MODELS, Settings(baud=BAUD, protocol=protocol))
         self.meant = {}
 
-    def take(self, frames, stamp, received, side=UNKNOWN):
+    def process_frames(self, frames, stamp, received, side=UNKNOWN):
         for _, end, kind, _, _, _, flaw in frames:
             assert flaw is None or flaw.reason in ('', OPEN), 'nothing was damaged'
             self.meant[side, end] = OPEN if flaw is not None and flaw.reason else (
                 ANSWER if kind == IS_STATUS else INSTRUCTION)
-        super().take(frames, stamp, received, side)
+        super().process_frames(frames, stamp, received, side)
 
 
 def check(data):

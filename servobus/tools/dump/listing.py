@@ -127,16 +127,17 @@ class Listing(BusDecoder):
             self.registry.resolve(device)
         return device
 
-    def hear(self, chunk: bytes, stamp: int, side: str = UNKNOWN) -> None:
+    def process_chunk(self, chunk: bytes, stamp: int, side: str = UNKNOWN) -> None:
         self._recent[side].add(chunk)
-        super().hear(chunk, stamp, side)
+        super().process_chunk(chunk, stamp, side)
 
     def rest(self) -> Iterator[tuple[str, bytes]]:
         """Yield what is left of each side at the end: no packet."""
         for side, recent in self._recent.items():
             yield side, recent.cut(_LAST_OFFSET, _LAST_OFFSET)[0]
 
-    def take(self, frames: Frames, stamp: int, received: int, side: str = UNKNOWN) -> None:
+    def process_frames(self, frames: Frames, stamp: int, received: int,
+                       side: str = UNKNOWN) -> None:
         for number, frame in enumerate(frames):
             begin, flaw = frame[0], frame[6]
             self._newest = max(self._newest, self._began(begin, stamp, received))
@@ -153,15 +154,15 @@ class Listing(BusDecoder):
             return start * BITS_PER_BYTE * 1_000_000_000 // self.settings.baud
         return stamp - int((received - start) * self.byte_ns)
 
-    def pause(self, last: int, now: int) -> None:
+    def process_pause(self, last: int, now: int) -> None:
         plan, counts = self.tracker.pending, _missed(self.tracker.pending)
-        super().pause(last, now)
+        super().process_pause(last, now)
         self._enter_missed(plan, counts, now)
 
     def _enter_damaged(self, frame: Frame, flaw: Flaw, stamp: int, received: int, side: str,
                  following: int) -> None:
         """Enter a damaged frame; its Length may be wrong, and the next frame begin in it."""
-        super().take([frame], stamp, received, side)
+        super().process_frames([frame], stamp, received, side)
         self._is_damage_entered = True
         _, _, kind, number, code, data, _ = frame
         before, wire = self._recent[side].cut(frame[0], min(frame[1], following))
@@ -174,19 +175,20 @@ class Listing(BusDecoder):
         if flaw is not None and flaw.noise_length > GLITCH and not self._is_damage_entered:
             self._on_entry(Entry(NOISE, self._newest, length=flaw.noise_length, side=side))
         self._is_damage_entered = False
-        noted = self.evidence.noted
+        noted = self.evidence.incidents_added
         plan = self.tracker.pending
         if frame[2] == IS_STATUS:
-            super().take([frame], stamp, received, side)
+            super().process_frames([frame], stamp, received, side)
         else:
             counts = _missed(plan)
-            super().take([frame], stamp, received, side)
+            super().process_frames([frame], stamp, received, side)
             self._enter_missed(plan, counts, self._newest)
         if self._is_plain:
             before, wire = self._recent[side].cut(frame[0], frame[1])
             self._on_entry(Entry(PACKET, self._newest, side=side, wire=wire, before=before))
         else:
-            self._enter_packet(frame, self.evidence.newest(self.evidence.noted - noted), side)
+            fresh = self.evidence.incidents_added - noted
+            self._enter_packet(frame, self.evidence.newest_incidents(fresh), side)
 
     def _enter_packet(self, frame: Frame, incidents: tuple[Incident[Any], ...], side: str) -> None:
         packet = packet_of(frame, self._newest)
