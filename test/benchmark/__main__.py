@@ -17,7 +17,7 @@ from servobus.errors import UsageError
 from servobus.tools.cli import run_tool
 
 # Each is a module with run(options) -> list of figures.
-PLAIN = ('parsing', 'parsing_1', 'doctor', 'library', 'usb', 'tap', 'node_cost', 'bridge',
+PLAIN = ('parsing', 'parsing_1', 'library', 'usb', 'tap', 'node_cost', 'bridge',
          'start_up', 'dashboard')
 RIGS = {'soak': 'rigs'}     # in another folder than this one
 ALONE = ('thesis', 'load', 'soak')      # run when asked for by an option of that name
@@ -36,7 +36,7 @@ def main(arguments):
         raise UsageError('--rounds: nothing is measured in fewer than 1; give 1 or more')
     settings = Options(quick=options.quick, trace=options.trace,
                        seconds=2.0 if options.quick else options.seconds,
-                       settle_s=options.settle, asked_rounds=options.rounds,
+                       asked_rounds=options.rounds,
                        soak_minutes=options.soak or 0.0, load_minutes=options.load or 0.0)
     print(', '.join(f'{key}: {value}' for key, value in machine().items()), flush=True)
     figures = []
@@ -63,8 +63,6 @@ def _parser():
     parser.add_argument('--trace', type=Path, metavar='FILE', help='raw bytes of a real bus')
     parser.add_argument('--seconds', type=float, default=10.0,
                         help='measured per experiment (%(default)s; the thesis: 60)')
-    parser.add_argument('--settle', type=float, default=1.0,
-                        help='s of the six experiments before that (%(default)s; the thesis: 20)')
     return parser
 
 

@@ -48,30 +48,27 @@ class Run(NamedTuple):
 
     seconds: float
     sent: int
-    taken: int
-    overrun: int
-    gap_us: list[float]                 # that there really was between packets: p50, p99
+    overrun: int                        # bytes that nobody took
     cpu: float                          # share of a core, 0 to 1
-    wake_ups: float                     # per second
     resident_mb: float
     growth_mb: float                    # more resident memory at the end
     longest_gap_ms: float               # between two reads
     metrics: Metrics
 
 
-def through_reader(traffic, seconds, settle_s=SETTLE_S):
+def through_reader(traffic, seconds):
     """Measure what the bare reader makes of the traffic."""
-    return several_through_readers([traffic], seconds, settle_s)[0]
+    return several_through_readers([traffic], seconds)[0]
 
 
-def several_through_readers(buses, seconds, settle_s=SETTLE_S):
+def several_through_readers(buses, seconds):
     """Measure bare readers, one for each bus, all at the same time."""
     with ExitStack() as stack:
         writers, ports = _writers(stack, buses)
         readers = [stack.enter_context(Child('benchmark.reader', port)) for port in ports]
         for reader in readers:
             reader.hear()
-        _begin(writers, seconds, settle_s)
+        _begin(writers, seconds, SETTLE_S)
         for reader in readers:
             reader.tell('begin')
         before = [usage(reader.pid) for reader in readers]
@@ -105,13 +102,13 @@ def several_through_node(buses, seconds, *parameters, module=NODE, settle_s=SETT
             node = stack.enter_context(Child(
                 module, '--ros-args', *(word for one in given for word in ('-p', one)), env=env))
             subscriber = _Subscriber()
-            subscriber.wait(START_S)
+            subscriber.wait_for_metrics(0, START_S)
             _begin(writers, seconds, settle_s)
             subscriber.reset()
             before = usage(node.pid)
             results = [writer.hear() for writer in writers]
             after = usage(node.pid)
-            metrics = subscriber.figures(since=time.time_ns())
+            metrics = subscriber.wait_for_metrics(time.time_ns())
             for writer in writers:
                 writer.tell('done')
     finally:
@@ -144,9 +141,8 @@ def _begin(writers, seconds, settle_s):
 
 def _run(result, before, after, longest_gap_ms, metrics):
     seconds = result['seconds']
-    return Run(seconds, result['sent'], result['taken'], result['overrun'] + result['unheard'],
-               result['gap_us'], (after.cpu_s - before.cpu_s) / seconds,
-               (after.wake_ups - before.wake_ups) / seconds, after.resident_mb,
+    return Run(seconds, result['sent'], result['overrun'] + result['unheard'],
+               (after.cpu_s - before.cpu_s) / seconds, after.resident_mb,
                after.resident_mb - before.resident_mb, longest_gap_ms, metrics)
 
 
@@ -167,13 +163,10 @@ class _Subscriber:
         self._stamp = array.header.stamp.sec * 1_000_000_000 + array.header.stamp.nanosec
         for status in array.status:
             self._metrics[status.name.removeprefix(PREFIX)] = {
-                pair.key: float(pair.value) for pair in status.values if _is_number(pair.value)}
+                pair.key: float(pair.value) for pair in status.values
+                if pair.key.startswith('since start ')}
 
-    def wait(self, seconds):
-        """Wait until the node says something."""
-        self.figures(0, seconds)
-
-    def figures(self, since, seconds=10.0):
+    def wait_for_metrics(self, since, seconds=10.0):
         """Return what the node says after a moment (ns since the epoch)."""
         deadline = time.monotonic() + seconds
         while self._stamp <= since:
@@ -187,11 +180,3 @@ class _Subscriber:
         """Let the statistics of the node start at 0."""
         done = self._service.call_async(Trigger.Request())
         rclpy.spin_until_future_complete(self._node, done, timeout_sec=10.0)
-
-
-def _is_number(text):
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

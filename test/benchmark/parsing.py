@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Framing and full tracking from memory, in chunks as a port gives them; the official client beside.
+Full tracking from memory, in chunks as a port gives them, and the official client.
 
 `monitor` is all that the node does with a chunk short of publishing: lock, framing, pairing,
 tables, timing statistics. `rxPacket` of dynamixel-sdk only parses, and only statuses: it is given
@@ -9,7 +9,6 @@ the statuses of the same traffic, out of memory. CPU time per packet; cases take
 """
 
 from functools import partial
-from statistics import median
 import time
 
 from benchmark.traffic import BAUD
@@ -71,12 +70,10 @@ def measure(kind, pieces, rounds):
     cases = {
         f'monitor, chunks of {size}': partial(monitor_us, models, cut(data, size))
         for size in CHUNKS}
-    cases[f'framing alone, chunks of {CHUNKS[0]}'] = partial(
-        framing_us, cut(data, CHUNKS[0]))
     if statuses:
         cases[SDK] = partial(sdk_us, statuses)
     results = interleaved(cases, rounds)
-    return _figures(kind, results, 8 * len(data) / _packet_count(data))
+    return _figures(f'parsing: {kind}', results)
 
 
 def monitor_us(models, chunks, settings=SETTINGS):
@@ -96,15 +93,6 @@ def monitor_us(models, chunks, settings=SETTINGS):
     return spent / 1000 / monitor.report(stamps[-1]).counters['Packets']
 
 
-def framing_us(chunks):
-    """Return the CPU time per packet of a fresh framer, in us."""
-    framer = Framer()
-    start = time.process_time_ns()
-    for chunk in chunks:
-        framer.frames(chunk)
-    return (time.process_time_ns() - start) / 1000 / framer.packets
-
-
 def sdk_us(statuses):
     """Return the CPU time per status of the official client's parser, in us."""
     from dynamixel_sdk.protocol2_packet_handler import Protocol2PacketHandler
@@ -117,12 +105,8 @@ def sdk_us(statuses):
     return (time.process_time_ns() - start) / 1000 / len(statuses)
 
 
-def _figures(kind, results, bits):
-    section = f'parsing: {kind}'
-    figures = []
-    for name, values in results.items():
-        beside = f'{bits / median(values):.1f} Mbit/s' if name != SDK else ''
-        figures.append(Figure(section, name, 'us/packet', values, beside))
+def _figures(section, results):
+    figures = [Figure(section, name, 'us/packet', values) for name, values in results.items()]
     sdk = results.get(SDK)
     for size in CHUNKS if sdk else ():
         mine = results[f'monitor, chunks of {size}']
@@ -134,12 +118,6 @@ def _figures(kind, results, bits):
 def cut(data, size):
     """Return data in chunks of a size."""
     return [data[at:at + size] for at in range(0, len(data), size)]
-
-
-def _packet_count(data):
-    framer = Framer()
-    framer.frames(data)
-    return framer.packets
 
 
 def _statuses(data):

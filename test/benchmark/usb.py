@@ -46,15 +46,12 @@ class Run(NamedTuple):
     sent: int
     lost: int
 
-    @property
-    def cpu_per_byte(self):
-        return self.cpu / (self.sent - self.lost)
-
 
 def run(options):
     """Play the stream both ways, one round after the other."""
     seconds = min(options.seconds, 5.0)
-    bursts = list(_master().bursts(round(seconds * S)))
+    line = Line(make_devices(list(ROBOT), Models(), BAUD), BAUD)
+    bursts = list(Master(line, PATTERNS['moving'], rate=0, gap=0).bursts(round(seconds * S)))
     results = interleaved({'tty': partial(through_tty, bursts, seconds),
                            'usb:': partial(through_usb, bursts, seconds)}, options.rounds)
     figures = []
@@ -64,17 +61,7 @@ def run(options):
             Figure(section, 'CPU of listener, reader and monitor', '%',
                    [100 * one.cpu for one in runs]),
             Figure(section, f'bytes lost of {runs[0].sent}', 'B', [one.lost for one in runs])]
-    pairs = list(zip(results['usb:'], results['tty'], strict=True))
-    return [*figures,
-            Figure('usb: compared with the tty', 'CPU', 'times',
-                   [usb.cpu / tty.cpu for usb, tty in pairs]),
-            Figure('usb: compared with the tty', 'CPU per byte that was heard', 'times',
-                   [usb.cpu_per_byte / tty.cpu_per_byte for usb, tty in pairs])]
-
-
-def _master():
-    return Master(Line(make_devices(list(ROBOT), Models(), BAUD), BAUD), PATTERNS['moving'],
-                  rate=0, gap=0)
+    return figures
 
 
 def through_tty(bursts, seconds):

@@ -32,7 +32,6 @@ class Options(NamedTuple):
     quick: bool = False
     trace: Path | None = None           # a recorded robot trace, raw bytes
     seconds: float = 10.0               # per experiment through a pty
-    settle_s: float = 1.0               # before it is measured
     soak_minutes: float = 5.0
     load_minutes: float = 5.0
     asked_rounds: int | None = None     # else what is usual
@@ -129,7 +128,6 @@ class Usage(NamedTuple):
     """What a process and its children have taken so far."""
 
     cpu_s: float
-    wake_ups: int                       # voluntary context switches, of all threads
     resident_mb: float                  # what they share counts for each
 
     def __add__(self, other):
@@ -139,9 +137,7 @@ class Usage(NamedTuple):
 def usage(pid):
     """Return what a process and its living children have taken so far."""
     fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
-    tasks = list(Path(f'/proc/{pid}/task').iterdir())
-    wake_ups = sum(_status(task / 'status', 'voluntary_ctxt_switches') for task in tasks)
-    own = Usage((int(fields[11]) + int(fields[12])) / _TICKS, wake_ups,
+    own = Usage((int(fields[11]) + int(fields[12])) / _TICKS,
                 _status(Path(f'/proc/{pid}/status'), 'VmRSS') / 1024)
     return sum(map(usage, children(pid)), own)
 
