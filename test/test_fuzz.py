@@ -32,8 +32,8 @@ from msg_defs.dxl_packet import STATUS
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 
-EXAMPLES = {'capture': 150, 'dashboard': 70, 'dxl1_classifier': 40, 'fast_reply': 120,
-            'framer': 250, 'instruction': 250, 'mcu': 150, 'model_file': 80, 'tracker': 50,
+EXAMPLES = {'dashboard': 70, 'dxl1_classifier': 40, 'fast_reply': 120,
+            'framer': 250, 'instruction': 250, 'model_file': 80, 'tracker': 50,
             'vel2d': 200}                                       # a second at most
 CORPUS = Path(__file__).parent / 'corpus'
 STEADY = settings(derandomize=True, deadline=None, database=None)

@@ -47,7 +47,7 @@ def check(data):
     kind = script.byte()
     instruction = script.byte() if kind > 200 else INSTRUCTIONS[kind % len(INSTRUCTIONS)]
     number = 0xFE if script.byte() > 200 else script.byte()
-    params = _made(script, instruction) if script.byte() < 150 else script.rest()
+    params = make_params(script, instruction) if script.byte() < 150 else script.rest()
     request = parse(instruction, number, params)
     assert (request.instruction, request.id) == (instruction, number)
     assert name_of(instruction)
@@ -95,7 +95,7 @@ def comes_back(number, instruction, params):
     assert packet[2:] == (number, instruction, None, params, False)
 
 
-def _made(script, instruction):
+def make_params(script, instruction):
     """Return parameters of about the right form."""
     length = script.pick((0, 1, 2, 4, 4, 7, 300))
     where, size = _u16(script.word()), _u16(length)
