@@ -20,7 +20,7 @@ from servobus.tools.cli import run_tool
 PLAIN = ('parsing', 'parsing_1', 'library', 'usb', 'tap', 'node_cost', 'bridge',
          'start_up', 'dashboard')
 RIGS = {'soak': 'rigs'}     # in another folder than this one
-ALONE = ('thesis', 'load', 'soak')      # run when asked for by an option of that name
+ALONE = ('thesis', 'soak')      # run when asked for by an option of that name
 NEEDS_ROS = ('node_cost', 'bridge', 'start_up', 'dashboard', *ALONE)
 
 
@@ -37,7 +37,7 @@ def main(arguments):
     settings = Options(quick=options.quick, trace=options.trace,
                        seconds=2.0 if options.quick else options.seconds,
                        asked_rounds=options.rounds,
-                       soak_minutes=options.soak or 0.0, load_minutes=options.load or 0.0)
+                       soak_minutes=options.soak or 0.0)
     print(', '.join(f'{key}: {value}' for key, value in machine().items()), flush=True)
     figures = []
     for section in _sections(options):
@@ -56,8 +56,6 @@ def _parser():
     parser.add_argument('--only', choices=PLAIN, action='append', help='one section (repeatable)')
     parser.add_argument('--thesis', action='store_true',
                         help='only the six experiments; with --only, those sections too')
-    parser.add_argument('--load', type=float, metavar='MINUTES',
-                        help='only: the monitor at full load for so long; memory')
     parser.add_argument('--soak', type=float, metavar='MINUTES',
                         help='only: both nodes for so long, with faults')
     parser.add_argument('--trace', type=Path, metavar='FILE', help='raw bytes of a real bus')

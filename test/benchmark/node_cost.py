@@ -60,6 +60,7 @@ def _figures(name, wanted, runs):
         Figure(SECTION, f'{name}: CPU, all processes / bare reader', '', times,
                'wanted: at most 3'),
         figure('CPU', '% of a core', lambda one: 100 * one.cpu, wanted),
+        figure('growth of memory', 'MB', lambda one: one.growth_mb),
         figure('overrun', 'B', lambda one: one.overrun),
         figure('longest gap between reads', 'ms', lambda one: one.longest_gap_ms),
         Figure(SECTION, f'{name}: longest gap, thread / process', '', gaps, 'wanted: at least 2'),

@@ -19,6 +19,10 @@ from benchmark.traffic import packets_1
 from fuzz.script import TRICKY_1
 from mecarover_serial.process import resident_memory_mb
 from msg_defs.dxl1_packet import HEADER
+from rigs.damage import cut_end
+from rigs.damage import flip_bit
+from rigs.damage import lose_byte
+from rigs.damage import replace_bytes
 from servobus.bus.decoder import BusDecoder
 from servobus.bus.decoder import Settings
 from servobus.model.models import Models
@@ -27,6 +31,7 @@ from servobus.monitor import Monitor
 BLOCK = 1 << 18
 GROWTH_MB = 30.0                    # more resident memory, from the first block on
 BYTE_NS = 10_000
+DAMAGES = (flip_bit, lose_byte, replace_bytes, cut_end, lambda chance, packet: packet + packet)
 
 
 def random_bytes(chance):
@@ -48,16 +53,8 @@ def mutated(traffic, chance):
     out = bytearray()
     while len(out) < BLOCK:
         packet = chance.choice(traffic)
-        out += packet if chance.random() < 0.9 else _damaged(chance, packet)
+        out += packet if chance.random() < 0.9 else chance.choice(DAMAGES)(chance, packet)
     return bytes(out)
-
-
-def _damaged(chance, packet):
-    at, bit = chance.randrange(len(packet)), 1 << chance.randrange(8)
-    return chance.choice((
-        packet[:at] + packet[at + 1:], packet[:at],
-        packet[:at] + bytes([packet[at] ^ bit]) + packet[at + 1:],
-        packet[:at] + chance.randbytes(chance.randrange(8)) + packet[at:], packet + packet))
 
 
 def main():

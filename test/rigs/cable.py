@@ -17,6 +17,8 @@ import time
 import tty
 from typing import NamedTuple
 
+from rigs.damage import flip_bit
+from rigs.damage import lose_byte
 from servobus.port.pty import Pty
 
 TICK_S = 0.002
@@ -202,13 +204,9 @@ class Cable:
     def _spoil(self, chunk):
         chance, faults = self._chance, self._faults
         if chance.random() < faults['drop']:
-            at = chance.randrange(len(chunk))
-            chunk = chunk[:at] + chunk[at + 1:]
+            chunk = lose_byte(chance, chunk)
         if chunk and chance.random() < faults['flip']:
-            bit = chance.randrange(8 * len(chunk))
-            damaged = bytearray(chunk)
-            damaged[bit // 8] ^= 1 << bit % 8
-            chunk = bytes(damaged)
+            chunk = flip_bit(chance, chunk)
         return chunk
 
     def _deliver(self):

@@ -33,7 +33,6 @@ class Options(NamedTuple):
     trace: Path | None = None           # a recorded robot trace, raw bytes
     seconds: float = 10.0               # per experiment through a pty
     soak_minutes: float = 5.0
-    load_minutes: float = 5.0
     asked_rounds: int | None = None     # else what is usual
 
     @property

@@ -15,7 +15,6 @@ from fuzz.script import PIECES_1
 from fuzz.script import Script
 from fuzz.script import traffic
 from fuzz.script import TRICKY
-from msg_defs import dxl1_packet
 from msg_defs.dxl_instruction import parse
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import encode
@@ -25,9 +24,12 @@ from msg_defs.event import CHANGES
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
+from rigs.bus import frames
+from rigs.bus import frames1
 from rigs.bus.scenes import BROKEN
 from rigs.bus.scenes import HEALTHY
 from rigs.bus.scenes import PLAYED
+from rigs.damage import flip_bit
 from servobus.model.models import Models
 
 S = 1_000_000_000
@@ -165,13 +167,11 @@ def _setting(model, chance, ids):
 
 def _read_write(model, number, field, data, is_read):
     """Return a read or a write of a register, and its answer, which tells of no error."""
-    if model.protocol == '2':
-        pack, width, answer = encode, 2, encode(number, 0x55, data * is_read, 0)
-    else:
-        pack, width, answer = dxl1_packet.encode, 1, dxl1_packet.encode(number, 0, data * is_read)
-    rest = field.size.to_bytes(width, 'little') if is_read else data
-    return [(pack(number, 2 if is_read else 3, field.at.to_bytes(width, 'little') + rest), OUT),
-            (answer, IN)]
+    kind, answer = (frames, frames.status) if model.protocol == '2' else (
+        frames1, frames1.packet)
+    question = kind.read(number, field.at, field.size) if is_read else kind.write(
+        number, field.at, data)
+    return [(question, OUT), (answer(number, 0, data * is_read), IN)]
 
 
 def _exchange_2(chance, ids):
@@ -202,8 +202,7 @@ def damaged(chance, data):
         at += figure.start()
         return data[:at] + b'%d' % chance.randrange(10) + data[at + 1:]
     return chance.choice((
-        lambda: data[:at] + bytes([data[at] ^ 1 << chance.randrange(8)]) + data[at + 1:]
-        if at < len(data) else data[1:],
+        lambda: flip_bit(chance, data) if data else b'\0',
         lambda: data[:at], lambda: data[at:], lambda: data + data,
         lambda: data[:at] + chance.choice(TRICKY) + data[at:],
         lambda: data[:at] + chance.randbytes(chance.randrange(20)) + data[at:],
