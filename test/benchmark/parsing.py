@@ -9,6 +9,7 @@ the statuses of the same traffic, out of memory. CPU time per packet; cases take
 """
 
 from functools import partial
+from pkgutil import resolve_name
 import time
 
 from benchmark.traffic import BAUD
@@ -29,7 +30,8 @@ QUICK_PACKETS = 5_000
 FULL_PACKETS = 25_000
 SDK_PACKETS = 2_000                # for the official client, which takes several times as long
 SETTINGS = Settings(baud=BAUD)
-SDK = 'dynamixel-sdk rxPacket'
+CLIENT = ('dynamixel-sdk', 'dynamixel_sdk.protocol2_packet_handler:Protocol2PacketHandler',
+          False)
 
 
 class Memory:
@@ -67,13 +69,28 @@ def measure(kind, pieces, rounds):
     data = b''.join(pieces)
     statuses = _statuses(data)[:SDK_PACKETS]
     models = Models()
-    cases = {
+    monitors = {
         f'monitor, chunks of {size}': partial(monitor_us, models, cut(data, size))
         for size in CHUNKS}
+    return compare(f'parsing: {kind}', monitors, CLIENT, statuses, rounds)
+
+
+def compare(section, monitors, client, statuses, rounds):
+    """
+    Return the figures of monitors (name to measurement) and of a client, and their ratios.
+
+    client: its name, where its parser is, and what rxPacket takes besides the port.
+    """
+    name, handler, *options = client
+    theirs = f'{name} rxPacket'
+    cases = dict(monitors)
     if statuses:
-        cases[SDK] = partial(sdk_us, statuses)
+        cases[theirs] = partial(client_us, handler, statuses, *options)
     results = interleaved(cases, rounds)
-    return _figures(f'parsing: {kind}', results)
+    return [Figure(section, name, 'us/packet', values) for name, values in results.items()] + [
+        Figure(section, f"{name}: times the client's rate", '',
+               [one / ours for one, ours in zip(results[theirs], results[name], strict=True)])
+        for name in monitors if statuses]
 
 
 def monitor_us(models, chunks, settings=SETTINGS):
@@ -93,26 +110,14 @@ def monitor_us(models, chunks, settings=SETTINGS):
     return spent / 1000 / monitor.report(stamps[-1]).counters['Packets']
 
 
-def sdk_us(statuses):
-    """Return the CPU time per status of the official client's parser, in us."""
-    from dynamixel_sdk.protocol2_packet_handler import Protocol2PacketHandler
-
-    handler = Protocol2PacketHandler()
+def client_us(handler, statuses, *options):
+    """Return the CPU time per status of a client's parser, in us."""
+    parser = resolve_name(handler)()
     port = Memory(b''.join(statuses))
     start = time.process_time_ns()
     for _ in statuses:
-        handler.rxPacket(port, False)
+        parser.rxPacket(port, *options)
     return (time.process_time_ns() - start) / 1000 / len(statuses)
-
-
-def _figures(section, results):
-    figures = [Figure(section, name, 'us/packet', values) for name, values in results.items()]
-    sdk = results.get(SDK)
-    for size in CHUNKS if sdk else ():
-        mine = results[f'monitor, chunks of {size}']
-        ratios = [theirs / ours for theirs, ours in zip(sdk or (), mine, strict=True)]
-        figures.append(Figure(section, f"monitor at {size}: times the client's rate", '', ratios))
-    return figures
 
 
 def cut(data, size):

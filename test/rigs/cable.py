@@ -25,6 +25,7 @@ TICK_S = 0.002
 PAUSE_TURNS = 2
 PAUSE_WITHIN_S = 1.0
 ARRIVALS_PER_TURN = 8                           # four times what comes: a pty takes 17 KiB
+FLOOD_BYTES_PER_S = 200_000
 KEPT_BYTES = 2048               # the beginning of a line
 NO_FAULT = {'drop': 0.0, 'flip': 0.0, 'delay_s': 0.0}
 
@@ -97,10 +98,10 @@ class Cable:
             self._stalled = True
             self._until = time.monotonic_ns()
 
-    def flood(self, seconds, bytes_per_s=200_000):
+    def flood(self, seconds):
         """Send noise to the node for a while."""
         with self._lock:
-            self._flood = time.monotonic() + seconds, int(bytes_per_s * TICK_S)
+            self._flood = time.monotonic() + seconds, int(FLOOD_BYTES_PER_S * TICK_S)
 
     def calm(self):
         """End all faults but a cut."""

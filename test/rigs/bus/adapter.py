@@ -28,7 +28,6 @@ class Kind(NamedTuple):
     every_s: float = 0.0           # about how often; 0: never
     is_reader_stopped: bool = True     # in a pause; else it sees an idle line
     baud: int = 0                  # it listens at; 0: the bus's
-    drops: float = 0.0             # share of chunks that are lost
 
 
 FINE = Kind()
@@ -99,8 +98,6 @@ class Adapter:
             return
         data = bytes(self._held)
         self._held.clear()
-        if self._kind.drops and self._random.random() < self._kind.drops:
-            return
         self._told = max(stamp, self._told)
         self._hear(data, self._told)
 

@@ -94,22 +94,3 @@ def test_two_adapters_that_change_places_stay_the_bus_that_they_are(guest):
         assert [heard_ids(dump) for dump in dumps] == [{1, 2, 3}, {11, 12, 13}]
         for dump in dumps:
             dump.stop()
-
-
-def test_two_adapters_with_one_serial_number_are_told_apart_by_their_sockets(guest):
-    sockets = '/dev/serial/by-path'
-    with ExitStack() as stack:
-        buses = [stack.enter_context(bus_of(devices, FEW_CYCLES_PER_S))
-                 for devices in ('1-3:MX-64', '11-13:MX-64')]
-        places = []
-        for bus, name in zip(buses, ('first', 'second'), strict=True):
-            stack.enter_context(Ftdi(guest, bus.path, gather=False, serial='FTSAME', name=name))
-            guest.wait(f'[ $(ls {sockets} | grep -c -- -usb-) = {len(places) + 1} ]')
-            [place] = set(guest.run(f'ls {sockets} | grep -- -usb-').out.split()) - set(places)
-            places.append(place)
-        dumps = [listen(guest, f'{sockets}/{place}', '--json') for place in places]
-        for bus in buses:
-            bus.start()
-        for dump, wanted in zip(dumps, ({1, 2, 3}, {11, 12, 13}), strict=True):
-            guest.until(lambda dump=dump, wanted=wanted: heard_ids(dump) == wanted)
-            dump.stop()
