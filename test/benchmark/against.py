@@ -82,14 +82,14 @@ class Worker:
         self._process = subprocess.Popen(
             [sys.executable, '-c', WORKER], cwd=folder, text=True, stdin=subprocess.PIPE,
             stdout=subprocess.PIPE, env={**os.environ, 'PYTHONPATH': str(folder)})
-        self._hear()
+        self._read_json()
 
     def us(self, case):
         """Return the CPU time per packet, in us."""
         print(json.dumps([str(case.file), *case[1:]]), file=self._process.stdin, flush=True)
-        return float(self._hear())
+        return float(self._read_json())
 
-    def _hear(self):
+    def _read_json(self):
         for line in self._process.stdout:
             return json.loads(line)
         raise ChildProcessError('a measuring process ended early; its error stands above')

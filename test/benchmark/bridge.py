@@ -55,7 +55,7 @@ def run(options):
         rounds = [{} for _ in range(options.rounds)]
         for one in rounds:
             for plan in PLANS:
-                publisher.tell(plan)
+                publisher.send_json(plan)
                 receiver.read_latencies(0.3)        # what the plan before it left
                 one[plan] = receiver.read_latencies(SHARE * options.seconds)
     return _figures(rounds)

@@ -53,7 +53,7 @@ def run(options):
             'mecarover_dashboard.serve', '--port', '0',
             '--history', str(folder / 'history.sqlite'), env=env, quiet=True))
         page = Page(stack.enter_context(
-            urlopen(f'{dashboard.line().split()[1]}/events', timeout=START_S)))
+            urlopen(f'{dashboard.read_line().split()[1]}/events', timeout=START_S)))
         for device in devices:
             page.wait(device.id, _is_well, START_S)
         took = []

@@ -58,13 +58,13 @@ def through_reader(traffic, seconds):
     with ExitStack() as stack:
         writer, port = _start_writer(stack, traffic)
         reader = stack.enter_context(Child('benchmark.reader', port))
-        reader.hear()
+        reader.read_json()
         _begin_measuring(writer, seconds)
-        reader.tell('begin')
-        before, result, after = usage(reader.pid), writer.hear(), usage(reader.pid)
-        reader.tell('report')
-        longest_gap_ms = reader.hear()['longest_gap_ms']
-        writer.tell('done')
+        reader.send_json('begin')
+        before, result, after = usage(reader.pid), writer.read_json(), usage(reader.pid)
+        reader.send_json('report')
+        longest_gap_ms = reader.read_json()['longest_gap_ms']
+        writer.send_json('done')
     return _run(result, before, after, longest_gap_ms, {})
 
 
@@ -83,9 +83,9 @@ def through_node(traffic, seconds, *parameters, module=NODE):
             subscriber.wait_for_metrics(0, START_S)
             _begin_measuring(writer, seconds)
             subscriber.reset()
-            before, result, after = usage(node.pid), writer.hear(), usage(node.pid)
+            before, result, after = usage(node.pid), writer.read_json(), usage(node.pid)
             metrics = subscriber.wait_for_metrics(time.time_ns())
-            writer.tell('done')
+            writer.send_json('done')
     finally:
         rclpy.try_shutdown()
     return _run(result, before, after, metrics['time_between_buffers']['since start max (ms)'],
@@ -95,14 +95,14 @@ def through_node(traffic, seconds, *parameters, module=NODE):
 def _start_writer(stack, traffic):
     """Return the process that is the bus, and its port."""
     writer = stack.enter_context(Child('benchmark.writer'))
-    writer.tell({**traffic._asdict(), 'trace': str(traffic.trace)})
-    return writer, writer.hear()['port']
+    writer.send_json({**traffic._asdict(), 'trace': str(traffic.trace)})
+    return writer, writer.read_json()['port']
 
 
 def _begin_measuring(writer, seconds):
     """Have it write, and return when what it writes is measured."""
-    writer.tell({'settle': SETTLE_S, 'seconds': seconds})
-    writer.hear()
+    writer.send_json({'settle': SETTLE_S, 'seconds': seconds})
+    writer.read_json()
 
 
 def _run(result, before, after, longest_gap_ms, metrics):

@@ -7,7 +7,7 @@ import select
 import sys
 import time
 
-from rigs.harness import say
+from rigs.harness import print_json
 
 
 def main(port):
@@ -16,7 +16,7 @@ def main(port):
     poll = select.poll()
     poll.register(fd, select.POLLIN)
     poll.register(sys.stdin, select.POLLIN)
-    say({'port': port})
+    print_json({'port': port})
     for _ in range(2):
         last = time.monotonic_ns()
         longest = 0
@@ -26,7 +26,7 @@ def main(port):
             longest = max(longest, now - last)
             last = now
         sys.stdin.readline()
-    say({'longest_gap_ms': longest / 1e6})
+    print_json({'longest_gap_ms': longest / 1e6})
 
 
 if __name__ == '__main__':

@@ -62,12 +62,12 @@ def through_usb(bursts, seconds):
                 reader.sendall(adapter.plug(begin) + adapter.set_baud(BAUD, begin))
                 rows = [(begin + at, make(data, begin + at)) for at, make, data in _transfers(
                     bursts, adapter)]
-                listener.hear()
+                listener.read_json()
                 before = usage(listener.pid)
                 _play(rows, reader.sendall)
                 cpu_s = usage(listener.pid).cpu_s - before.cpu_s
-                listener.tell('report')
-                return cpu_s / seconds, listener.hear()['bytes']
+                listener.send_json('report')
+                return cpu_s / seconds, listener.read_json()['bytes']
 
 
 def _transfers(bursts, adapter):

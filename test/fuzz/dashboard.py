@@ -53,7 +53,7 @@ def check(data):
     page = Page(state)
     now_s = 1.0
     while script:
-        message, wanted = made(script)
+        message, wanted = make_message(script)
         assert [as_sent(one) for one in statuses(message)] == wanted
         cut_short(message, script.word())
         if script.byte() > 180:
@@ -63,7 +63,7 @@ def check(data):
         last_word_counts(state, message)
         now_s += script.pick((0.0, 0.1, 1.0, 5.0, 100.0))
         state.expire(now_s)
-        told(state, script.byte(), now_s)
+        check_replies(state, script.byte(), now_s)
         if script.byte() > 80:
             page.poll()
     page.poll()
@@ -71,7 +71,7 @@ def check(data):
     who_is_ours(data)
 
 
-def made(script):
+def make_message(script):
     """Serialise a DiagnosticArray of a few statuses; return it and what it holds."""
     wanted = []
     for _ in range(script.byte() % 4):
@@ -134,7 +134,7 @@ def cut_short(message, where):
 
 def damaged(script, message):
     at = script.word() % (len(message) + 1)
-    return message[:at] + script.take(script.byte() % 8) + message[at + script.byte() % 8:]
+    return message[:at] + script.take_bytes(script.byte() % 8) + message[at + script.byte() % 8:]
 
 
 def never_raises(message):
@@ -157,7 +157,7 @@ def last_word_counts(state, message):
             assert entry.row['level'] == (status.level if status.level < 4 else 3)
 
 
-def told(state, since, now_s):
+def check_replies(state, since, now_s):
     """Hold that all a page may ask for can be sent."""
     said = [state.changes(0), state.changes(since), state.topics(now_s)]
     for name in list(state._entries['devices']):

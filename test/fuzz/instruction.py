@@ -48,7 +48,7 @@ def check(data):
     kind = script.byte()
     instruction = script.byte() if kind > 200 else INSTRUCTIONS[kind % len(INSTRUCTIONS)]
     number = 0xFE if script.byte() > 200 else script.byte()
-    params = make_params(script, instruction) if script.byte() < 150 else script.rest()
+    params = make_params(script, instruction) if script.byte() < 150 else script.take_rest()
     request = parse(instruction, number, params)
     assert (request.instruction, request.id) == (instruction, number)
     assert name_of(instruction)
@@ -114,11 +114,11 @@ def make_params(script, instruction):
                             b'\xff', b'\x01', b'\x02', b'\x03', b''))
     else:
         made = where + _content(script, length)
-    return made[:-1] if script.byte() > 220 else made + script.take(script.byte() // 128)
+    return made[:-1] if script.byte() > 220 else made + script.take_bytes(script.byte() // 128)
 
 
 def _content(script, size):
-    return b''.join(script.pick(TRICKY) if script.byte() > 150 else script.take(4)
+    return b''.join(script.pick(TRICKY) if script.byte() > 150 else script.take_bytes(4)
                     for _ in range(size // 4 + 1)).ljust(size, b'\xff')[:size]
 
 

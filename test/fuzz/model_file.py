@@ -64,7 +64,7 @@ def check(data):
     script = Script(data)
     raw = script.byte() < 40
     image = data[-64:] if len(data) % 3 else script.pick(IMAGES)
-    text = script.rest() if raw else mutated(script)
+    text = script.take_rest() if raw else mutated(script)
     with TemporaryDirectory(dir=_fast()) as folder:
         Path(folder, 'm.yaml').write_bytes(text)
         problems = check_models(folder)
@@ -92,7 +92,8 @@ def mutated(script):
         at = script.word() % len(text)
         if what < 110:
             size = script.byte() % 24
-            piece = script.pick(WORDS) if script.byte() < 160 else script.take(script.byte() % 8)
+            piece = script.pick(WORDS) if script.byte() < 160 else script.take_bytes(
+                script.byte() % 8)
             text = text[:at] + piece + text[at + size:]
         elif what < 140:
             lines.insert(at % len(lines), lines[script.byte() % len(lines)])

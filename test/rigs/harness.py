@@ -206,19 +206,19 @@ class Child:
             start_new_session=True)         # Ctrl-C is for this process, which ends its children
         self.pid = self._process.pid
 
-    def hear(self):
+    def read_json(self):
         """Return the next line of JSON that the child says, decoded."""
-        while not (line := self.line()).startswith(('{', '[')):
+        while not (line := self.read_line()).startswith(('{', '[')):
             pass
         return json.loads(line)
 
-    def line(self):
+    def read_line(self):
         """Return the next line that the child says."""
         if line := self._process.stdout.readline():
             return line
         raise ChildProcessError(f'python -m {self._module}: ended early; run it alone to see why')
 
-    def tell(self, thing):
+    def send_json(self, thing):
         self._process.stdin.write(json.dumps(thing) + '\n')
         self._process.stdin.flush()
 
@@ -249,6 +249,6 @@ class Child:
                 stream.close()
 
 
-def say(thing):
-    """Say one thing to the process that started this one (see Child.hear)."""
+def print_json(thing):
+    """Say one thing to the process that started this one (see Child.read_json)."""
     print(json.dumps(thing), flush=True)

@@ -98,8 +98,10 @@ class _Soak:
         folder = Path(stack.enter_context(TemporaryDirectory()))
         self._chance = random.Random(SEED)
         self._mcu = stack.enter_context(RunningMcu(str(folder / 'mcu')).running())
-        stack.enter_context(Child('mecarover_fakes.fake_bus', '--link', str(folder / 'bus'),
-                                  '--devices', DEVICES, '--pattern', 'moving', env=env)).line()
+        fake_bus = stack.enter_context(Child(
+            'mecarover_fakes.fake_bus', '--link', str(folder / 'bus'), '--devices', DEVICES,
+            '--pattern', 'moving', env=env))
+        fake_bus.read_line()
         self._cables = [
             stack.enter_context(Cable(str(folder / device), folder / f'{device}_cable', seed))
             for seed, device in enumerate(('mcu', 'bus'))]

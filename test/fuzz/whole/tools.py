@@ -150,7 +150,7 @@ def tool(module, case, path, options, chance):
     """Run a tool on a file, or on a port where the case is heard; return its code and output."""
     def listener_on(*arguments, **more):
         fed = FedListener(*arguments, **more)
-        fed.after = lambda: [fed.hear(one, BOOT + at) for at, one in enumerate(case.heard)]
+        fed.after = lambda: [fed.hear_chunk(one, BOOT + at) for at, one in enumerate(case.heard)]
         fed.news = end
         return fed
 

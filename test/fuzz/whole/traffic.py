@@ -180,7 +180,7 @@ def _exchange_2(chance, ids):
     code, number = chance.choice(INSTRUCTIONS), chance.choice((*ids, BROADCAST))
     params = make_params(script, code)[:1000]
     asked = [(one.id, one.length) for one in parse(code, number, params).accesses]
-    answers = [(encode(one, STATUS, script.take(size), chance.choice(ERRORS)), IN)
+    answers = [(encode(one, STATUS, script.take_bytes(size), chance.choice(ERRORS)), IN)
                for one, size in asked or [(one, 0) for one in ids] if chance.random() < 0.85]
     return [(encode(number, code, params), OUT), *answers]
 

@@ -93,24 +93,17 @@ def register(number, at_register, size, value, at=0.0):
     return _altering(at, lambda rig: rig.servos[number].put(at_register, size, value))
 
 
-def heating(number, top, at=2.0, seconds=12.0):
-    """Heat a servo; the fault counts from where it is near its limit."""
+def _ramped(attribute, first, number, last, at=2.0, seconds=12.0):
+    """Let an attribute of a servo go from one value to another; nine tenths of the way alter."""
     def fault(rig):
-        rig.servos[number].heat = _ramp(rig, 40.0, top, at, seconds)
+        rig.at(at + 0.9 * seconds, rig.alter)
+        setattr(rig.servos[number], attribute, lambda: first + (last - first) * min(1.0, max(
+            0.0, (rig.clock.now / S - at) / seconds)))
     return fault
 
 
-def _ramp(rig, first, last, at, seconds):
-    """Return a value that goes from one to the other in this time; nine tenths of it alter."""
-    rig.at(at + 0.9 * seconds, rig.alter)
-    return lambda: first + (last - first) * min(1.0, max(0.0, (rig.clock.now / S - at) / seconds))
-
-
-def sagging(number, low, at=2.0, seconds=12.0):
-    """Let the supply of a servo sink, as that of a battery at its end."""
-    def fault(rig):
-        rig.servos[number].volts = _ramp(rig, 12.0, low, at, seconds)
-    return fault
+heating = partial(_ramped, 'heat', 40.0)       # near its limit at the end
+sagging = partial(_ramped, 'volts', 12.0)      # as the supply from a battery that is nearly empty
 
 
 def supply(volts):

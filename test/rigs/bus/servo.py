@@ -55,9 +55,9 @@ class AnyServo:
         self.table = bytearray(size)
         self._at = 2048.0
         self._moved = 0
-        wire.listeners.append(self.hear)
+        wire.listeners.append(self.hear_packets)
 
-    def hear(self, heard):
+    def hear_packets(self, heard):
         raise NotImplementedError
 
     def put(self, at, size, value):
@@ -184,7 +184,7 @@ class Servo(AnyServo):
 
     # --- hearing ---------------------------------------------------------------------------
 
-    def hear(self, heard):
+    def hear_packets(self, heard):
         """Take what was on the wire: instructions, and the statuses of those before it."""
         is_at_rate = BAUD_CODES[self.table[BAUD]] == self.wire.baud
         if not self.is_on or self.is_deaf or not is_at_rate:
