@@ -3,38 +3,21 @@
 """A bus is heard on adapters of its own: all of it, and the right one in each place."""
 from __future__ import annotations
 
-from contextlib import contextmanager
 from contextlib import ExitStack
 import json
 import time
 
 import pytest
 
-from mecarover_fakes.fake_bus import make_devices
-from mecarover_fakes.fake_port import FakeBus
-from mecarover_fakes.line import Line
-from mecarover_fakes.master import Master
-from mecarover_fakes.traffic import PATTERNS
 from rigs.drivers.adapters import Acm
 from rigs.drivers.adapters import Ftdi
-from servobus.model.models import Models
+from rigs.drivers.lead import bus_of
 
-BAUD = 2_000_000
 SECONDS = 10.0
 CYCLES_PER_S = 25.0             # an emulated processor reads no full bus of this rate
 FEW_CYCLES_PER_S = 2.0
 SETTLE_S = 2.0                  # for what is on its way when the bus falls silent
 START_S = 200.0
-
-
-@contextmanager
-def bus_of(devices, rate):
-    bus = FakeBus(Master(Line(make_devices([devices], Models(), BAUD), BAUD),
-                         PATTERNS['moving'], rate=rate))
-    try:
-        yield bus
-    finally:
-        bus.stop()
 
 
 def listen(guest, port, *options):
