@@ -53,7 +53,7 @@ class Cable:
 
     def __init__(self, device, link, seed=1):
         self.path = str(link)
-        self.carried = self.damaged = 0
+        self.carried = 0
         self.lost = 0                           # bytes that were not taken
         self.delivered = 0                      # bytes that the node's side took
         self.lines = []
@@ -197,9 +197,7 @@ class Cable:
         self.carried += len(chunk)
         if source == self._near.master and len(self.lines[-1].written) < KEPT_BYTES:
             self.lines[-1].written.extend(chunk)
-        arriving = self._spoil(chunk)
-        self.damaged += arriving != chunk
-        self._late.append((time.monotonic() + self._faults['delay_s'], target, arriving))
+        self._late.append((time.monotonic() + self._faults['delay_s'], target, self._spoil(chunk)))
         return True
 
     def _spoil(self, chunk):

@@ -56,7 +56,7 @@ class Machine:
         passed_s = time.monotonic() - begin_s       # first: what follows reads a hundred files
         return passed_s > seconds and passed_s > self._patience_s(seconds, held_s)
 
-    def waited(self, condition, seconds):
+    def wait_until(self, condition, seconds):
         """Wait for a condition; return whether it came true in time."""
         held_s, begin_s = self.held_s(), time.monotonic()
         while not condition():
