@@ -142,6 +142,7 @@ def _packet_1(script, last):
 
 PIECES_2 = (_raw, _tricky, _instruction, _instruction, _status, _status, _read, _read, _fast_read,
             _flipped, _cut, _headless, _again)
+NOISE = (_raw, _raw, _tricky, _tricky_1)
 PIECES_1 = (_raw, _raw, _tricky_1, _tricky_1, _packet_1, _packet_1, _flipped, _cut)
 
 

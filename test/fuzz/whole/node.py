@@ -187,7 +187,9 @@ def through_node(case, folder):
                 written.append((stamp, one.data, one.side, one.change))
             node._timers.turn(clock.now / 1e9)
         for bus, size in zip(node._buses, fed, strict=True):
-            all_counted(bus.report(clock.now).counters, size)
+            report = bus.report(clock.now)
+            all_counted(report.counters, size)
+            assert not (case.is_noise and report.devices), 'a device is made up'
         node._reset_statistics(None, SimpleNamespace())
         node._timers.turn(clock.now / 1e9 + 1)
         page.show_page(clock.now / 1e9)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 from fuzz.dxl1_classifier import dialogue
 from fuzz.instruction import make_params
 from fuzz.script import INSTRUCTIONS
+from fuzz.script import NOISE
 from fuzz.script import PIECES_1
 from fuzz.script import Script
 from fuzz.script import traffic
@@ -73,6 +74,7 @@ class Case(NamedTuple):
     protocol: str
     devices: tuple[str, ...]
     heard: tuple[Heard, ...]
+    is_noise: bool                 # nothing is on these buses
 
 
 @cache
@@ -95,9 +97,12 @@ def case_of(seed):
     """Return the case of a seed."""
     chance = random.Random(seed)
     names = tuple(chance.sample(NAMES, chance.choice((1, 1, 1, 2))))
-    found, baud = [], chance.choice(BAUDS)
+    found, baud, is_noise = [], chance.choice(BAUDS), chance.random() < 0.1
     for _ in range(chance.choice((1, 1, 2, 3))):
-        if chance.random() < 0.5:
+        if is_noise:
+            found += [(chance.choice(PAUSES_NS[:5]), piece, IN)
+                      for piece in traffic(Script(chance.randbytes(3000)), NOISE)]
+        elif chance.random() < 0.5:
             more, rate = recorded((seed // CASES_OF_THEM * SCENES_AT_ONCE
                                    + chance.randrange(SCENES_AT_ONCE)) % len(SCENES))
             baud = rate if chance.random() < 0.9 else baud
@@ -121,8 +126,10 @@ def case_of(seed):
             after_ns, chance.randrange(len(names)) if chance.random() < rough else 0, data,
             side if has_sides else UNKNOWN,
             stamp=chance.choice(FAR) if chance.random() < far else None))
-    return Case(names, baud, chance.choice(PROTOCOLS), chance.choice(DEVICES),
-                tuple(_gathered(chance, heard)))
+    protocol, devices = chance.choice(PROTOCOLS), chance.choice(DEVICES)
+    if is_noise:
+        protocol, devices = 'auto', ()
+    return Case(names, baud, protocol, devices, tuple(_gathered(chance, heard)), is_noise)
 
 
 def _gathered(chance, heard):
