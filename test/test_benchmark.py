@@ -122,15 +122,15 @@ def test_a_trace_is_cut_without_loss(tmp_path):
 @pytest.mark.parametrize('gap_us', [0, 100])
 def test_writer_keeps_its_schedule_and_counts_what_nobody_takes(gap_us):
     with Child('benchmark.writer') as writer:
-        writer.tell({'kind': 'ping', 'trace': '', 'devices': ROBOT, 'baud': 2_000_000,
+        writer.send_json({'kind': 'ping', 'trace': '', 'devices': ROBOT, 'baud': 2_000_000,
                      'gap_us': gap_us})
-        port = writer.hear()['port']
+        port = writer.read_json()['port']
         with Child('benchmark.reader', port) as reader:
-            reader.hear()
-            writer.tell({'settle': 0.1, 'seconds': 0.5})
-            assert writer.hear() == {'measuring': True}
+            reader.read_json()
+            writer.send_json({'settle': 0.1, 'seconds': 0.5})
+            assert writer.read_json() == {'measuring': True}
             assert usage(writer.pid).resident_mb > 1
-            result = writer.hear()
+            result = writer.read_json()
     assert result['sent'] == result['taken'] + result['overrun'] + result['unheard']
     assert 0 < result['sent'] * wire_ns(1, 2_000_000) <= 1.1e9 * result['seconds']
     assert result['gap_us'][0] >= gap_us

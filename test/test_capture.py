@@ -48,7 +48,7 @@ def test_the_format_is_the_one_in_the_docs():
 
 
 @given(st.lists(st.builds(Chunk, st.integers(0, 2**62), st.text(
-    st.characters(codec='utf-8'), min_size=1).filter(lambda name: name != '-'),
+    st.characters(codec='utf-8'), min_size=1) | st.sampled_from(('', '-', '%2D')),
     st.binary(min_size=1, max_size=50), st.sampled_from(('', 'out', 'in')), st.none())))
 def test_what_is_written_is_read(chunks):
     reader = Reader(io.BytesIO(written(*chunks)))
@@ -68,6 +68,7 @@ def test_sides_and_changes_come_back_and_old_files_stay_readable():
     assert list(Reader(io.BytesIO(text))) == chunks
     old = text.replace(b'# dxl_capture 2', b'# dxl_capture 1').splitlines(keepends=True)
     assert list(Reader([*old[:2], old[-1]])) == chunks[-1:]
+    assert list(Reader([b'(1.5) - ff\n'])) == [Chunk(1_500_000_000, '', b'\xff')]
     bad = Reader(io.BytesIO(text.replace(b'capture 2', b'capture 3') + b'(1.0) bus up ff\n'
                             b'(1.0) bus baud x\n(1.0) bus baud 1 2\n(1.0) bus\n'))
     assert (len(list(bad)), bad.bad_lines) == (4, 5)
@@ -87,13 +88,13 @@ FAR = 400 * b'9'
     b'# dxl_capture 2 began 2026-09-21T14:13:20.0Z at -1.0', b'\x1b[31mred\x1b[m',
     b'(1.0) bus ' + b'f' * (LINE_MAX_BYTES + 1)])
 def test_impossible_lines_are_told_and_left_out(line):
-    text = written(Chunk(NOW.stamp + 5, 'bus', b'\x01')) + line + b'\n' \
+    text = written(Chunk(NOW.stamp + 5, 'bus', b'\x01')) + line + b'\n' + line + b'\n' \
         + chunk_line(Chunk(NOW.stamp + 6, 'bus', b'\x02'))
     reader = Reader(lines(io.BytesIO(text)))
     assert [chunk.data for chunk in reader] == [b'\x01', b'\x02']
     assert reader.wires == {'bus': WIRE._replace(name='bus')}
     [problem] = reader.problems()
-    assert problem.startswith('1 lines do not belong in a capture and were left out, '
+    assert problem.startswith('2 lines do not belong in a capture and were left out, '
                               'the first is line 4: ')
     assert problem.isprintable()
     assert len(problem) < 160

@@ -6,6 +6,7 @@ from http.client import HTTPConnection
 from importlib import util
 from itertools import islice
 import json
+from pathlib import Path
 import socket
 import struct
 import time
@@ -21,6 +22,8 @@ from synthetic_robot import SyntheticRobot
 
 from mecarover_dashboard.rows import FieldRow
 from mecarover_dashboard.signal_requests import ReportedSignals
+from mecarover_dashboard.web_server import is_ours
+from rigs.tables import rows_of
 
 pytestmark = pytest.mark.skipif(util.find_spec('aiohttp') is None, reason='skipped: no aiohttp')
 KNEE = 'dxl_monitor:%20007%20left_knee'
@@ -326,9 +329,14 @@ def test_a_head_in_pieces_is_understood(dashboard):
     client.close()
 
 
-def test_a_name_of_its_own_and_what_to_do_without():
-    from mecarover_dashboard.web_server import is_ours
-    assert is_ours('rover1.example.org:8420', frozenset({'rover1.example.org'}), False)
+@pytest.mark.parametrize(('host', 'kind'), rows_of(Path(__file__).with_name('page_hosts.tsv')))
+def test_a_request_is_for_the_page_by_its_own_names_or_by_an_address(host, kind):
+    names = frozenset(('localhost', 'rover.local'))
+    assert is_ours(host, names, False) == (kind == 'own')
+    assert is_ours(host, names, True) == (kind != 'other')
+
+
+def test_what_to_do_without_a_name_of_its_own():
     with Dashboard() as dashboard:
         response, body = ask(dashboard, Host='evil.example')
         assert response.status == 421

@@ -191,6 +191,17 @@ def test_reply_latency_of_a_device_is_for_those_who_look(robot):
     assert not any('reply_latency' in name for name in state.changes(0)['timing'])
 
 
+def test_the_last_300_points_of_a_metric_are_kept():
+    state = take_one(one_device())
+    names = ('dxl_monitor: timing/011/reply_latency', 'dxl_monitor: timing/write')
+    for at in range(310):
+        for name in names:
+            take_one(Status(name, Level.OK, '', '', [('p50 (ms)', '1')]), 'dxl/timing', state, at)
+    assert len(state.latency('dxl_monitor: 011', 0.0)) == 300
+    [write] = state.changes(0)['timing'].values()
+    assert len(write['points']) == 300
+
+
 def test_silence_is_judged_by_arrival(robot):
     state = told(robot, now_s=100.0)
     state.expire(103.0)

@@ -29,7 +29,6 @@ from benchmark.confusion_cases import FAST_ROBOT
 from benchmark.confusion_cases import FEETECH
 from benchmark.confusion_cases import FEETECH_BEHIND
 from benchmark.confusion_cases import FEETECH_CASES
-from benchmark.confusion_cases import keys_of
 from benchmark.confusion_cases import Scene
 from benchmark.confusion_cases import SCENES
 from mecarover_fakes.fake_bus import DEFAULT_DEVICES
@@ -39,6 +38,7 @@ from mecarover_fakes.faults import KINDS
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import FAMILY_1
 from mecarover_fakes.traffic import PATTERNS
+from rigs.bus.scene import keys
 from rigs.tables import rows_of
 from servobus.bus.decoder import Settings
 from servobus.doctor import RULES
@@ -155,7 +155,7 @@ PAIRS = rows_of(Path(__file__).with_name('fault_pairs.tsv'))
 def test_two_faults_at_once_are_both_named(scene, one, other, said):
     faults = [f'{fault}:2' if ':' in fault else f'{fault}::2' for fault in (one, other)]
     *_, last = reports(faults, SCENES[scene], 7.0)
-    assert set(told(last)) == set(keys_of(said))
+    assert set(told(last)) == set(keys(said))
 
 
 def test_a_fault_that_is_over_is_forgotten():

@@ -54,6 +54,20 @@ def test_with_gaps_only_damaged_frames_are_lost():
     assert good == [index / 1000 for index in range(1000) if index % 50 != 49]
 
 
+def test_bytes_arrive_at_the_pace_of_the_line_and_ten_set_points_wait():
+    mcu = Receiver()
+    mcu.feed(FRAME[:20], 0)
+    mcu.feed(FRAME[20:] + b''.join(map(numbered, range(1, 20))), 5)     # the line is still busy
+    taken = mcu.advance(30 * MS)            # 12 frames have arrived, two find the queue full
+    assert [arrival.stamp for arrival in mcu.arrivals] == [
+        FRAME_SIZE * mcu.character * count for count in range(1, 21)]
+    assert [(one.stamp, one.x) for one in taken] == [(30 * MS, 500.0)]
+    assert (mcu.queued, mcu.totals.queue_full) == (9, 2)
+    mcu.overrun()
+    mcu.feed(FRAME, 100 * MS)
+    assert (mcu.totals.frames, mcu.totals.unheard) == (20, FRAME_SIZE)
+
+
 def test_pty_to_set_point():
     mcu = FakeMcu()
     host = os.open(mcu.path, os.O_RDWR | os.O_NOCTTY)

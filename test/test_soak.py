@@ -92,7 +92,7 @@ def said(watch, stamp, topic, name, **values):
     array = DiagnosticArray(status=[DiagnosticStatus(name=name, level=b'\0', values=[
         KeyValue(key=key.replace('_', ' '), value=str(value)) for key, value in values.items()])])
     array.header.stamp.sec, array.header.stamp.nanosec = divmod(stamp, S)
-    watch.take(topic, array)
+    watch.accept_statuses(topic, array)
 
 
 def test_an_old_status_and_a_lost_device_are_silent(ros, monkeypatch):

@@ -17,10 +17,10 @@ from servobus.errors import UsageError
 from servobus.tools.cli import run_tool
 
 # Each is a module with run(options) -> list of figures.
-PLAIN = ('parsing', 'parsing_1', 'doctor', 'library', 'usb', 'tap', 'node_cost', 'bridge',
+PLAIN = ('parsing', 'parsing_1', 'library', 'usb', 'tap', 'node_cost', 'bridge',
          'start_up', 'dashboard')
 RIGS = {'soak': 'rigs'}     # in another folder than this one
-ALONE = ('thesis', 'load', 'soak')      # run when asked for by an option of that name
+ALONE = ('thesis', 'soak')      # run when asked for by an option of that name
 NEEDS_ROS = ('node_cost', 'bridge', 'start_up', 'dashboard', *ALONE)
 
 
@@ -36,8 +36,8 @@ def main(arguments):
         raise UsageError('--rounds: nothing is measured in fewer than 1; give 1 or more')
     settings = Options(quick=options.quick, trace=options.trace,
                        seconds=2.0 if options.quick else options.seconds,
-                       settle_s=options.settle, asked_rounds=options.rounds,
-                       soak_minutes=options.soak or 0.0, load_minutes=options.load or 0.0)
+                       asked_rounds=options.rounds,
+                       soak_minutes=options.soak or 0.0)
     print(', '.join(f'{key}: {value}' for key, value in machine().items()), flush=True)
     figures = []
     for section in _sections(options):
@@ -56,15 +56,11 @@ def _parser():
     parser.add_argument('--only', choices=PLAIN, action='append', help='one section (repeatable)')
     parser.add_argument('--thesis', action='store_true',
                         help='only the six experiments; with --only, those sections too')
-    parser.add_argument('--load', type=float, metavar='MINUTES',
-                        help='only: the monitor at full load for so long; memory')
     parser.add_argument('--soak', type=float, metavar='MINUTES',
                         help='only: both nodes for so long, with faults')
     parser.add_argument('--trace', type=Path, metavar='FILE', help='raw bytes of a real bus')
     parser.add_argument('--seconds', type=float, default=10.0,
                         help='measured per experiment (%(default)s; the thesis: 60)')
-    parser.add_argument('--settle', type=float, default=1.0,
-                        help='s of the six experiments before that (%(default)s; the thesis: 20)')
     return parser
 
 

@@ -7,7 +7,7 @@ The rows of benchmark.parsing (Protocol 2.0) and of benchmark.parsing_1 (the 1.0
 
 Each of them runs in a process of its own that lives as long as the comparison, on the same bytes;
 the older commit runs twice, so that its ratio to itself tells what the machine can resolve.
-usage: scripts/python -m benchmark.against COMMIT [--pairs N] [--trace FILE] [--only TEXT]
+usage: scripts/python -m benchmark.against COMMIT [--only TEXT]
 """
 
 import argparse
@@ -33,7 +33,6 @@ from benchmark.traffic import KINDS
 from benchmark.traffic import KINDS_1
 from benchmark.traffic import packets
 from benchmark.traffic import packets_1
-from benchmark.traffic import TRACE
 from rigs.harness import machine
 from rigs.harness import REPOSITORY
 from servobus.errors import UsageError
@@ -83,14 +82,14 @@ class Worker:
         self._process = subprocess.Popen(
             [sys.executable, '-c', WORKER], cwd=folder, text=True, stdin=subprocess.PIPE,
             stdout=subprocess.PIPE, env={**os.environ, 'PYTHONPATH': str(folder)})
-        self._hear()
+        self._read_json()
 
     def us(self, case):
         """Return the CPU time per packet, in us."""
         print(json.dumps([str(case.file), *case[1:]]), file=self._process.stdin, flush=True)
-        return float(self._hear())
+        return float(self._read_json())
 
-    def _hear(self):
+    def _read_json(self):
         for line in self._process.stdout:
             return json.loads(line)
         raise ChildProcessError('a measuring process ended early; its error stands above')
@@ -128,7 +127,7 @@ def bound(ratios):
     return sorted(ratios)[max(0, rank - 1)]
 
 
-def compare(old, cases, pairs):
+def compare(old, cases):
     """Measure, and yield a line of the table for each case."""
     taken = {
         name: {OLD: [], AGAIN: [], NEW: []} for name in cases}
@@ -137,7 +136,7 @@ def compare(old, cases, pairs):
         workers = {name: stack.enter_context(Worker(folder))
                    for name, folder in ((OLD, old), (AGAIN, old), (NEW, REPOSITORY))}
         order = [(case, name) for case in cases for name in workers]
-        for _ in range(pairs):
+        for _ in range(PAIRS):
             rng.shuffle(order)
             order.sort(key=lambda one: one[0])      # a pair is measured within 0.1 s
             for case, name in order:
@@ -151,31 +150,25 @@ def compare(old, cases, pairs):
 
 def main(arguments):
     options = _parser().parse_args(arguments)
-    if options.trace is not None and not options.trace.is_file():
-        raise UsageError(f'--trace: {options.trace} is not a file; give the raw bytes of a bus')
     print(', '.join(f'{key}: {value}' for key, value in machine().items()))
-    print(f'old: {options.commit}; {options.pairs} pairs; us of CPU per packet; bound: lower '
+    print(f'old: {options.commit}; {PAIRS} pairs; us of CPU per packet; bound: lower '
           f'95 % bound of the median ratio, wanted: {WANTED}')
     print(f'{"traffic, chunk":30}{"old":>8}{"new":>8}{"old/new":>9}{"bound":>9}'
           f'{"old/old":>11}{"bound":>9}', flush=True)
     with checked_out(options.commit) as old, TemporaryDirectory() as folder:
-        for line in compare(old, _cases(Path(folder), options.only, options.trace), options.pairs):
+        for line in compare(old, _cases(Path(folder), options.only)):
             print(line, flush=True)
 
 
-def _cases(folder, only, trace):
+def _cases(folder, only):
     """Return the rows of parsing and parsing_1 with this text in their name; write the bytes."""
     make = {kind: partial(packets, kind) for kind in KINDS}
     make |= {f'{kind}, {told}': partial(packets_1, kind)
              for kind in KINDS_1 for told in (CLIENTS[kind][0], 'auto')}
-    kinds = [kind for kind in make if only in kind]
-    if trace is not None and only in TRACE:
-        kinds.append(TRACE)
     cases = {}
-    for number, kind in enumerate(kinds):
+    for number, kind in enumerate(kind for kind in make if only in kind):
         file = folder / f'{number}.bin'
-        data = trace.read_bytes() if trace and kind == TRACE else b''.join(make[kind]())
-        file.write_bytes(data[:SIZE])
+        file.write_bytes(b''.join(make[kind]())[:SIZE])
         _, _, protocol = kind.partition(', ')
         cases.update({f'{kind}, {size}': Case(file, size, protocol) for size in CHUNKS})
     return cases
@@ -185,8 +178,6 @@ def _parser():
     parser = argparse.ArgumentParser(prog='scripts/python -m benchmark.against', description=(
         'Compare the CPU time of parsing with that of an older commit (docs/benchmarks.md).'))
     parser.add_argument('commit', help='what git calls it, e.g. 7820283')
-    parser.add_argument('--pairs', type=int, default=PAIRS, help='rounds (%(default)s)')
-    parser.add_argument('--trace', type=Path, metavar='FILE', help='raw bytes of a real bus')
     parser.add_argument('--only', default='', metavar='TEXT', help='kinds with this in their name')
     return parser
 

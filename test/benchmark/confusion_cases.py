@@ -7,14 +7,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
+from rigs.bus.scene import Key
+from rigs.bus.scene import keys
 from rigs.tables import rows_of
 
 ROBOT = ('1-5:MX-106', '6-8:MX-64', '100:Rhoban DXL Board')
 FAST_ROBOT = ('1-5:XL430-W250', '6-8:XM540-W270')
 ARM = ('1-5:STS3215', '6-8:STS3250')
 OLD_ROBOT = ('1-5:AX-12A', '6-8:MX-28(1.0)')
-
-Key = tuple[str, int | None]       # rule, device
 
 
 class Scene(NamedTuple):
@@ -53,14 +53,8 @@ SCENES = {
 }
 
 
-def keys_of(said):
-    """Return rules with their devices, if they have one: 'no_answer 3, noise'."""
-    found = (one.split() for one in said.split(', '))
-    return tuple((rule, int(device[0]) if device else None) for rule, *device in found)
-
-
 def _cases_of(protocol):
-    return tuple(Case(fault, keys_of(said), SCENES[protocol if scene == 'all' else scene], about)
+    return tuple(Case(fault, keys(said), SCENES[protocol if scene == 'all' else scene], about)
                  for scene, fault, said, about in rows_of(Path(__file__).with_suffix('.tsv'))
                  if scene.split()[0] in ('all', protocol))
 

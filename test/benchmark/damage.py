@@ -14,24 +14,18 @@ from collections import Counter
 from itertools import product
 
 from rigs.bus import wrecked
-from rigs.bus.adapter import FULL_SPEED
-from rigs.bus.wire import S
+from rigs.bus.score import reports
 from rigs.bus.wrecked import KINDS
 from rigs.bus.wrecked import PROGRAMS
 from rigs.bus.wrecked import scene_of
-from servobus.bus.decoder import Settings
 from servobus.doctor import bits
-from servobus.model.models import Models
-from servobus.monitor import Monitor
 
 KNOWN = (1, 2, 3)                  # the limits were set with these seeds
 BLIND = (2301, 2302, 2303, 2304)   # and not with these
 SECONDS = 9
-BOOT = 1000 * S
 _LOOKS = {bits.CLOCK: wrecked.CLOCK, bits.SIGNAL_LEVEL: wrecked.LEVEL, bits.PWM: wrecked.PWM,
           bits.INTERFERENCE: wrecked.INTERFERENCE, bits.TWO_SENDERS: wrecked.SPEAKERS}
 _RULES = {'turnaround': wrecked.TURN, 'stray_bytes': wrecked.STRAY}
-_MODELS = Models()
 
 
 def told(report):
@@ -49,13 +43,7 @@ def run(one):
     """Return what is said at the end of a run."""
     kind, program, seed = one
     scene = scene_of(KINDS[kind], PROGRAMS[program][1], seed)
-    rig = scene.rig(seed)
-    monitor = Monitor('bus', _MODELS, Settings(baud=scene.baud), idle_is_told=True)
-    rig.listen(FULL_SPEED, lambda data, stamp: monitor.feed(data, BOOT + stamp),
-               lambda now: monitor.flush_if_idle(BOOT + now))
-    for number in range(1, 2 * SECONDS + 1):
-        rig.clock.run(number * S // 2)
-        report = monitor.report(BOOT + rig.clock.now)
+    *_, (report, _) = reports(scene, scene.rig(seed), SECONDS)
     return told(report)
 
 

@@ -3,16 +3,15 @@
 """
 From a servo that falls silent on the bus to the event that turns its page red, in real processes.
 
-A simulated bus on a pty, dxl_monitor, dxl_dashboard with its history, and this process, which
-listens to the stream that a page gets. One servo after the other falls silent, at no particular
-moment of cycles and reports, and comes back.
+dxl_monitor, dxl_dashboard with its history, and this process, which is the bus on a pty and hears
+the stream that a page gets. One servo after the other falls silent, at no particular moment of
+cycles and reports, and comes back.
 """
 
 from contextlib import ExitStack
 import json
 from pathlib import Path
 import random
-import sys
 from tempfile import TemporaryDirectory
 import time
 from urllib.request import urlopen
@@ -26,7 +25,6 @@ from msg_defs.reports import Level
 from rigs.harness import Child
 from rigs.harness import Figure
 from rigs.harness import ros_environment
-from rigs.harness import say
 from servobus.model.models import Models
 
 SECTION = 'dashboard: silent on the bus to red on the page'
@@ -44,28 +42,28 @@ def run(options):
     env = ros_environment()
     with ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory()))
-        bus = stack.enter_context(Child('benchmark.dashboard', str(folder / 'bus')))
-        bus.hear()
+        devices = make_devices([ENTRY], Models(), BAUD)
+        bus = FakeBus(Master(Line(devices, BAUD, waits_in_line=False), PATTERNS['moving']))
+        stack.callback(bus.stop)
+        bus.start()
         stack.enter_context(Child(
-            'dxl_monitor.start', '--ros-args', '-p', f"ports:=['{folder / 'bus'}']",
+            'dxl_monitor.start', '--ros-args', '-p', f"ports:=['{bus.path}']",
             '-p', f"devices:=['{ENTRY}']", env=env, quiet=True))
         dashboard = stack.enter_context(Child(
             'mecarover_dashboard.serve', '--port', '0',
             '--history', str(folder / 'history.sqlite'), env=env, quiet=True))
         page = Page(stack.enter_context(
-            urlopen(f'{dashboard.line().split()[1]}/events', timeout=START_S)))
-        for device in range(1, SERVOS + 1):
-            page.wait(device, _is_well, START_S)
+            urlopen(f'{dashboard.read_line().split()[1]}/events', timeout=START_S)))
+        for device in devices:
+            page.wait(device.id, _is_well, START_S)
         took = []
         for at in range(options.asked_rounds or (options.rounds if options.quick else ROUNDS)):
-            device = 1 + at % SERVOS
+            device = devices[at % SERVOS]
             time.sleep(rng.uniform(0.5, 1.5))
-            bus.tell({'id': device, 'silent': True})
-            fault_s = bus.hear()['at']
-            took.append(page.wait(device, _is_red) - fault_s)
-            bus.tell({'id': device, 'silent': False})
-            bus.hear()
-            page.wait(device, lambda row: not _is_red(row))
+            device.silent, fault_s = True, time.monotonic()
+            took.append(page.wait(device.id, _is_red) - fault_s)
+            device.silent = False
+            page.wait(device.id, lambda row: not _is_red(row))
     return [Figure(SECTION, 'a silent servo', 's', took, f'at most {ALLOWED_S:g} at the median')]
 
 
@@ -109,22 +107,3 @@ class Page:
             if line.startswith(b'data: '):
                 return json.loads(line.removeprefix(b'data: '))
         raise ConnectionError('dxl_dashboard: ended; run it alone to see why')
-
-
-def _play(link):
-    """Be the bus; lines of JSON say which device is silent."""
-    devices = {one.id: one for one in make_devices([ENTRY], Models(), BAUD)}
-    line = Line(list(devices.values()), BAUD, waits_in_line=False)
-    bus = FakeBus(Master(line, PATTERNS['moving']), link=link)
-    bus.start()
-    try:
-        say({})
-        for told in map(json.loads, sys.stdin):
-            devices[told['id']].silent = told['silent']
-            say({'at': time.monotonic()})
-    finally:
-        bus.stop()
-
-
-if __name__ == '__main__':
-    _play(sys.argv[1])

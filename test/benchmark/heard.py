@@ -5,7 +5,7 @@
 import sys
 import time
 
-from rigs.harness import say
+from rigs.harness import print_json
 from servobus.bus.decoder import Settings
 from servobus.model.models import Models
 from servobus.monitor import Monitor
@@ -20,14 +20,14 @@ def main(source, baud):
     listener.start()
     while not listener.state.is_open:
         time.sleep(0.01)
-    say({'open': True})
+    print_json({'open': True})
     sys.stdin.readline()
     heard = -1
     while heard != listener.counters.bytes:          # what is on its way is not lost
         heard = listener.counters.bytes
         time.sleep(QUIET_S)
     report = monitor.report(time.monotonic_ns())
-    say({'bytes': report.counters['Bytes'], 'crc errors': report.counters['CRC Errors']})
+    print_json({'bytes': report.counters['Bytes'], 'crc errors': report.counters['CRC Errors']})
     listener.stop()
 
 

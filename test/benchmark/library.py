@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""What `servobus.listen` costs a program: CPU time of an exchange, and of a report."""
+"""What `servobus.listen` costs a program: CPU time of an exchange, its part of reports too."""
 from contextlib import nullcontext
 from functools import partial
 import time
@@ -14,15 +14,11 @@ from rigs.harness import Figure
 from rigs.harness import interleaved
 from servobus import listen
 from servobus import Models
-from servobus import Monitor
-from servobus import Settings
 
 SERVOS = range(1, 7)
 EXCHANGES, QUICK_EXCHANGES = 3000, 600
 QUESTIONS = [encode(number, Instruction.READ, bytes((132, 0, 4, 0))) for number in SERVOS]
 ANSWERS = [encode(number, STATUS, bytes(4), error=0) for number in SERVOS]
-REPORTS = 20
-S = 1_000_000_000
 
 
 class Servos(Serial):
@@ -42,16 +38,14 @@ class Servos(Serial):
 
 
 def run(options):
-    """Measure a program with and without `listen`, and a report."""
+    """Measure a program with and without `listen`."""
     models = Models()
     count = QUICK_EXCHANGES if options.quick else EXCHANGES
     results = interleaved({'alone': partial(_exchange_us, count, None),
                            'heard': partial(_exchange_us, count, models)}, options.rounds)
     added = [heard - alone for heard, alone in zip(results['heard'], results['alone'],
                                                    strict=True)]
-    return [Figure('library', 'added to an exchange, its part of the reports too', 'us', added),
-            Figure('library', 'a report of six servos', 'ms',
-                   [_report_ms(models) for _ in range(options.rounds)])]
+    return [Figure('library', 'added to an exchange, its part of the reports too', 'us', added)]
 
 
 def _exchange_us(count, models):
@@ -62,17 +56,3 @@ def _exchange_us(count, models):
             port.write(QUESTIONS[at % len(QUESTIONS)])
             port.read(15)
     return (time.process_time_ns() - began) / 1e3 / count
-
-
-def _report_ms(models):
-    monitor = Monitor('', models, Settings(baud=1_000_000))
-    spent = 0
-    for at in range(REPORTS):
-        for turn, (question, answer) in enumerate(zip(QUESTIONS, ANSWERS, strict=True)):
-            stamp = (1 + at) * S + turn * 10_000_000
-            monitor.feed(question, stamp, 'out')
-            monitor.feed(answer, stamp + 1_000_000, 'in')
-        began = time.process_time_ns()
-        monitor.report((2 + at) * S)
-        spent += time.process_time_ns() - began
-    return spent / 1e6 / REPORTS

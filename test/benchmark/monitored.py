@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-One run of traffic through ptys: into the real node dxl_monitor, or into bare readers.
+One run of traffic through a pty: into the real node dxl_monitor, or into a bare reader.
 
 Every run has processes of its own: writer, node or reader, and this one, which only listens to
 dxl/timing. What is said about the node is what the node says about itself on that topic.
@@ -46,107 +46,68 @@ class Traffic(NamedTuple):
 class Run(NamedTuple):
     """What came out of a run; `metrics` since the reset."""
 
-    seconds: float
-    sent: int
-    taken: int
-    overrun: int
-    gap_us: list[float]                 # that there really was between packets: p50, p99
+    overrun: int                        # bytes that came while its buffer was full
     cpu: float                          # share of a core, 0 to 1
-    wake_ups: float                     # per second
-    resident_mb: float
     growth_mb: float                    # more resident memory at the end
     longest_gap_ms: float               # between two reads
     metrics: Metrics
 
 
-def through_reader(traffic, seconds, settle_s=SETTLE_S):
+def through_reader(traffic, seconds):
     """Measure what the bare reader makes of the traffic."""
-    return several_through_readers([traffic], seconds, settle_s)[0]
-
-
-def several_through_readers(buses, seconds, settle_s=SETTLE_S):
-    """Measure bare readers, one for each bus, all at the same time."""
     with ExitStack() as stack:
-        writers, ports = _writers(stack, buses)
-        readers = [stack.enter_context(Child('benchmark.reader', port)) for port in ports]
-        for reader in readers:
-            reader.hear()
-        _begin(writers, seconds, settle_s)
-        for reader in readers:
-            reader.tell('begin')
-        before = [usage(reader.pid) for reader in readers]
-        results = [writer.hear() for writer in writers]
-        after = [usage(reader.pid) for reader in readers]
-        for reader in readers:
-            reader.tell('report')
-        longest = [reader.hear()['longest_gap_ms'] for reader in readers]
-        for writer in writers:
-            writer.tell('done')
-    return [_run(*one, {}) for one in zip(results, before, after, longest, strict=True)]
+        writer, port = _start_writer(stack, traffic)
+        reader = stack.enter_context(Child('benchmark.reader', port))
+        reader.read_json()
+        _begin_measuring(writer, seconds)
+        reader.send_json('begin')
+        before, result, after = usage(reader.pid), writer.read_json(), usage(reader.pid)
+        reader.send_json('report')
+        longest_gap_ms = reader.read_json()['longest_gap_ms']
+        writer.send_json('done')
+    return _run(result, before, after, longest_gap_ms, {})
 
 
-def through_node(traffic, seconds, *parameters, module=NODE, settle_s=SETTLE_S):
+def through_node(traffic, seconds, *parameters, module=NODE):
     """Measure what the node makes of the traffic; parameters as 'name:=value'."""
-    return several_through_node([traffic], seconds, *parameters, module=module,
-                                settle_s=settle_s)[0]
-
-
-def several_through_node(buses, seconds, *parameters, module=NODE, settle_s=SETTLE_S):
-    """Measure one node that hears all buses: a run for each; CPU and memory are the node's."""
     env = ros_environment()
     os.environ.update(env)
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:
         with ExitStack() as stack:
-            writers, ports = _writers(stack, buses)
-            names = [f'bus{number}' for number in range(len(buses))]
-            given = (f'ports:={ports}', f'bauds:={[one.baud for one in buses]}',
-                     f'names:={names}', *parameters)
+            writer, port = _start_writer(stack, traffic)
+            given = (f"ports:=['{port}']", f'bauds:=[{traffic.baud}]', *parameters)
             node = stack.enter_context(Child(
                 module, '--ros-args', *(word for one in given for word in ('-p', one)), env=env))
             subscriber = _Subscriber()
-            subscriber.wait(START_S)
-            _begin(writers, seconds, settle_s)
+            subscriber.wait_for_metrics(0, START_S)
+            _begin_measuring(writer, seconds)
             subscriber.reset()
-            before = usage(node.pid)
-            results = [writer.hear() for writer in writers]
-            after = usage(node.pid)
-            metrics = subscriber.figures(since=time.time_ns())
-            for writer in writers:
-                writer.tell('done')
+            before, result, after = usage(node.pid), writer.read_json(), usage(node.pid)
+            metrics = subscriber.wait_for_metrics(time.time_ns())
+            writer.send_json('done')
     finally:
         rclpy.try_shutdown()
-    found = [metrics] if len(buses) == 1 else [_of_bus(name, metrics) for name in names]
-    return [_run(result, before, after, one['time_between_buffers']['since start max (ms)'], one)
-            for result, one in zip(results, found, strict=True)]
+    return _run(result, before, after, metrics['time_between_buffers']['since start max (ms)'],
+                metrics)
 
 
-def _of_bus(name, metrics):
-    return {key.removeprefix(f'{name}/'): values for key, values in metrics.items()
-            if key.startswith(f'{name}/')}
+def _start_writer(stack, traffic):
+    """Return the process that is the bus, and its port."""
+    writer = stack.enter_context(Child('benchmark.writer'))
+    writer.send_json({**traffic._asdict(), 'trace': str(traffic.trace)})
+    return writer, writer.read_json()['port']
 
 
-def _writers(stack, buses):
-    """Return a writer for each bus, and their ports."""
-    writers = [stack.enter_context(Child('benchmark.writer')) for _ in buses]
-    for writer, traffic in zip(writers, buses, strict=True):
-        writer.tell({**traffic._asdict(), 'trace': str(traffic.trace)})
-    return writers, [writer.hear()['port'] for writer in writers]
-
-
-def _begin(writers, seconds, settle_s):
-    """Have them write, and return when what they write is measured."""
-    for writer in writers:
-        writer.tell({'settle': settle_s, 'seconds': seconds})
-    for writer in writers:
-        writer.hear()
+def _begin_measuring(writer, seconds):
+    """Have it write, and return when what it writes is measured."""
+    writer.send_json({'settle': SETTLE_S, 'seconds': seconds})
+    writer.read_json()
 
 
 def _run(result, before, after, longest_gap_ms, metrics):
-    seconds = result['seconds']
-    return Run(seconds, result['sent'], result['taken'], result['overrun'] + result['unheard'],
-               result['gap_us'], (after.cpu_s - before.cpu_s) / seconds,
-               (after.wake_ups - before.wake_ups) / seconds, after.resident_mb,
+    return Run(result['overrun'] + result['unheard'],
+               (after.cpu_s - before.cpu_s) / result['seconds'],
                after.resident_mb - before.resident_mb, longest_gap_ms, metrics)
 
 
@@ -167,13 +128,10 @@ class _Subscriber:
         self._stamp = array.header.stamp.sec * 1_000_000_000 + array.header.stamp.nanosec
         for status in array.status:
             self._metrics[status.name.removeprefix(PREFIX)] = {
-                pair.key: float(pair.value) for pair in status.values if _is_number(pair.value)}
+                pair.key: float(pair.value) for pair in status.values
+                if pair.key.startswith('since start ')}
 
-    def wait(self, seconds):
-        """Wait until the node says something."""
-        self.figures(0, seconds)
-
-    def figures(self, since, seconds=10.0):
+    def wait_for_metrics(self, since, seconds=10.0):
         """Return what the node says after a moment (ns since the epoch)."""
         deadline = time.monotonic() + seconds
         while self._stamp <= since:
@@ -187,11 +145,3 @@ class _Subscriber:
         """Let the statistics of the node start at 0."""
         done = self._service.call_async(Trigger.Request())
         rclpy.spin_until_future_complete(self._node, done, timeout_sec=10.0)
-
-
-def _is_number(text):
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What the monitor costs as a process: CPU, memory, wake-ups, and what it loses at full bus load.
+What the monitor costs as a process: CPU, and what it loses at full bus load.
 
 All topics are on. The bare reader has the same traffic in the same run, turn by turn: what it
 loses too is the machine's doing, not the node's. So has the node with a thread that reads instead
@@ -60,10 +60,7 @@ def _figures(name, wanted, runs):
         Figure(SECTION, f'{name}: CPU, all processes / bare reader', '', times,
                'wanted: at most 3'),
         figure('CPU', '% of a core', lambda one: 100 * one.cpu, wanted),
-        figure('wake-ups', '1/s', lambda one: one.wake_ups),
-        figure('resident memory', 'MB', lambda one: one.resident_mb),
-        figure('growth of it', 'MB', lambda one: one.growth_mb),
-        figure('bytes on the bus', 'B/s', lambda one: one.sent / one.seconds),
+        figure('growth of memory', 'MB', lambda one: one.growth_mb),
         figure('overrun', 'B', lambda one: one.overrun),
         figure('longest gap between reads', 'ms', lambda one: one.longest_gap_ms),
         Figure(SECTION, f'{name}: longest gap, thread / process', '', gaps, 'wanted: at least 2'),

@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Framing and full tracking from memory, in chunks as a port gives them; the official client beside.
+Full tracking from memory, in chunks as a port gives them, and the official client.
 
 `monitor` is all that the node does with a chunk short of publishing: lock, framing, pairing,
 tables, timing statistics. `rxPacket` of dynamixel-sdk only parses, and only statuses: it is given
@@ -9,7 +9,7 @@ the statuses of the same traffic, out of memory. CPU time per packet; cases take
 """
 
 from functools import partial
-from statistics import median
+from pkgutil import resolve_name
 import time
 
 from benchmark.traffic import BAUD
@@ -30,7 +30,8 @@ QUICK_PACKETS = 5_000
 FULL_PACKETS = 25_000
 SDK_PACKETS = 2_000                # for the official client, which takes several times as long
 SETTINGS = Settings(baud=BAUD)
-SDK = 'dynamixel-sdk rxPacket'
+CLIENT = ('dynamixel-sdk', 'dynamixel_sdk.protocol2_packet_handler:Protocol2PacketHandler',
+          False)
 
 
 class Memory:
@@ -68,15 +69,28 @@ def measure(kind, pieces, rounds):
     data = b''.join(pieces)
     statuses = _statuses(data)[:SDK_PACKETS]
     models = Models()
-    cases = {
+    monitors = {
         f'monitor, chunks of {size}': partial(monitor_us, models, cut(data, size))
         for size in CHUNKS}
-    cases[f'framing alone, chunks of {CHUNKS[0]}'] = partial(
-        framing_us, cut(data, CHUNKS[0]))
+    return compare(f'parsing: {kind}', monitors, CLIENT, statuses, rounds)
+
+
+def compare(section, monitors, client, statuses, rounds):
+    """
+    Return the figures of monitors (name to measurement) and of a client, and their ratios.
+
+    client: its name, where its parser is, and what rxPacket takes besides the port.
+    """
+    name, handler, *options = client
+    theirs = f'{name} rxPacket'
+    cases = dict(monitors)
     if statuses:
-        cases[SDK] = partial(sdk_us, statuses)
+        cases[theirs] = partial(client_us, handler, statuses, *options)
     results = interleaved(cases, rounds)
-    return _figures(kind, results, 8 * len(data) / _packet_count(data))
+    return [Figure(section, name, 'us/packet', values) for name, values in results.items()] + [
+        Figure(section, f"{name}: times the client's rate", '',
+               [one / ours for one, ours in zip(results[theirs], results[name], strict=True)])
+        for name in monitors if statuses]
 
 
 def monitor_us(models, chunks, settings=SETTINGS):
@@ -96,50 +110,19 @@ def monitor_us(models, chunks, settings=SETTINGS):
     return spent / 1000 / monitor.report(stamps[-1]).counters['Packets']
 
 
-def framing_us(chunks):
-    """Return the CPU time per packet of a fresh framer, in us."""
-    framer = Framer()
-    start = time.process_time_ns()
-    for chunk in chunks:
-        framer.frames(chunk)
-    return (time.process_time_ns() - start) / 1000 / framer.packets
-
-
-def sdk_us(statuses):
-    """Return the CPU time per status of the official client's parser, in us."""
-    from dynamixel_sdk.protocol2_packet_handler import Protocol2PacketHandler
-
-    handler = Protocol2PacketHandler()
+def client_us(handler, statuses, *options):
+    """Return the CPU time per status of a client's parser, in us."""
+    parser = resolve_name(handler)()
     port = Memory(b''.join(statuses))
     start = time.process_time_ns()
     for _ in statuses:
-        handler.rxPacket(port, False)
+        parser.rxPacket(port, *options)
     return (time.process_time_ns() - start) / 1000 / len(statuses)
-
-
-def _figures(kind, results, bits):
-    section = f'parsing: {kind}'
-    figures = []
-    for name, values in results.items():
-        beside = f'{bits / median(values):.1f} Mbit/s' if name != SDK else ''
-        figures.append(Figure(section, name, 'us/packet', values, beside))
-    sdk = results.get(SDK)
-    for size in CHUNKS if sdk else ():
-        mine = results[f'monitor, chunks of {size}']
-        ratios = [theirs / ours for theirs, ours in zip(sdk or (), mine, strict=True)]
-        figures.append(Figure(section, f"monitor at {size}: times the client's rate", '', ratios))
-    return figures
 
 
 def cut(data, size):
     """Return data in chunks of a size."""
     return [data[at:at + size] for at in range(0, len(data), size)]
-
-
-def _packet_count(data):
-    framer = Framer()
-    framer.frames(data)
-    return framer.packets
 
 
 def _statuses(data):

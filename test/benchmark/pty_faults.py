@@ -13,7 +13,6 @@ What it must say is in that file. Exits with the number of rows that are not rig
 
 import argparse
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 import json
 from pathlib import Path
 import signal
@@ -34,11 +33,13 @@ from benchmark.confusion_cases import FEETECH_CASES
 from benchmark.confusion_cases import Scene
 from mecarover_fakes.traffic import FAMILY_1
 from mecarover_fakes.traffic import PATTERNS
+from rigs.bus.score import spell
 from rigs.harness import REPOSITORY
-from rigs.stutter import BUSY
+from rigs.stutter import busy_loops
 
 ONSET_S = 5                        # after the start of fake_bus: dxl_doctor listens, at load too
 SECONDS = 10
+AT_A_TIME = 2
 LINK_S = 20.0                      # until fake_bus has its link
 END_S = 60.0
 RATE = 100.0                       # cycles a second, as fake_bus has by default
@@ -62,35 +63,31 @@ def healthy_cases():
         for scene, patterns in spoken for pattern in patterns if pattern != 'none']
 
 
-def rate_of(scene):
-    """Return the rate that a row needs, else what fake_bus has where a user sets none."""
-    return RATE if scene.rate == Scene().rate else scene.rate
-
-
-def start(module, *arguments, **options):
+def start_module(module, *arguments, **options):
     return subprocess.Popen([sys.executable, '-m', module, *map(str, arguments)], text=True,
                             cwd=REPOSITORY, stdout=subprocess.PIPE, **options)
 
 
-def play(case, rate=None):
+def play(case):
     """Play a case on a pty; return the answer of dxl_doctor."""
     scene = case.scene
+    rate = RATE if scene.rate == Scene().rate else scene.rate      # as usual, or what a row needs
     with tempfile.TemporaryDirectory() as folder:
         link = Path(folder) / 'bus'
         fault = [] if case.fault == HEALTHY else ['--fault', case.fault.format(at=ONSET_S)]
-        bus = start('mecarover_fakes.fake_bus', '--link', link, '-b', scene.baud,
-                    '--dialect', scene.dialect, '--devices', *scene.devices,
-                    '--pattern', scene.pattern, '--rate', rate or rate_of(scene), *fault,
-                    '--behind-silent', 'wait' if scene.waits_in_line else 'answer')
+        bus = start_module('mecarover_fakes.fake_bus', '--link', link, '-b', scene.baud,
+                           '--dialect', scene.dialect, '--devices', *scene.devices,
+                           '--pattern', scene.pattern, '--rate', rate, *fault,
+                           '--behind-silent', 'wait' if scene.waits_in_line else 'answer')
         try:
             deadline = time.monotonic() + LINK_S
             while not link.exists():
                 if bus.poll() is not None or time.monotonic() > deadline:
                     raise ChildProcessError(f'fake_bus {" ".join(fault)}: has no link')
                 time.sleep(0.01)
-            doctor = start('servobus.tools.dxl_doctor', link, '-b', scene.baud, '--seconds',
-                           SECONDS, '--json', *(word for one in scene.devices
-                                                for word in ('--devices', one)))
+            doctor = start_module('servobus.tools.dxl_doctor', link, '-b', scene.baud, '--seconds',
+                                  SECONDS, '--json', *(word for one in scene.devices
+                                                       for word in ('--devices', one)))
             try:
                 said, _ = doctor.communicate(timeout=END_S)
             finally:
@@ -123,44 +120,24 @@ def verdict(case, answer):
     return 'right' if {*case.told} <= {*answer.warned, *answer.others} else 'silent'
 
 
-@contextmanager
-def busy_loops(count):
-    """Keep so many cores busy."""
-    loops = [subprocess.Popen([sys.executable, '-c', BUSY]) for _ in range(count)]
-    try:
-        yield
-    finally:
-        for one in loops:
-            one.kill()
-            one.wait()
-
-
-def words(keys):
-    return ', '.join(rule if device is None else f'{rule} {device}' for rule, device in keys)
-
-
 def main():
     """Play the cases and print a line for each."""
     parser = argparse.ArgumentParser(usage=__doc__)
     parser.add_argument('faults', nargs='*', metavar='FAULT')
     parser.add_argument('--busy', type=int, default=0, metavar='N', help='busy loops beside it')
-    parser.add_argument('--jobs', type=int, default=2, metavar='N', help='at a time (default 2)')
-    parser.add_argument('--rate', type=float,
-                        help='cycles per second (default: what the row needs, or 100)')
     options = parser.parse_args()
     signal.signal(signal.SIGTERM, signal.default_int_handler)      # ends its processes too
     cases = [case for case in (*CASES, *FEETECH_CASES, *DXL1_CASES, *healthy_cases())
              if case.fault.partition(':')[0] in (options.faults or [case.fault.partition(':')[0]])]
     wrong = 0
-    with busy_loops(options.busy), ThreadPoolExecutor(options.jobs) as pool:
-        for case, answer in zip(cases, pool.map(
-                lambda case: play(case, options.rate), cases), strict=True):
-            said = verdict(case, answer)
-            wrong += said != 'right'
-            print(f'{case.scene.dialect:8}{label(case):35} {said:11}expected: '
-                  f'{words(case.told) or "-"}; said: {words(answer.warned) or "-"}'
-                  + (f' (OK: {words(answer.others)})' if answer.others else ''), flush=True)
-            if said != 'right' and answer.messages:
+    with busy_loops(options.busy), ThreadPoolExecutor(AT_A_TIME) as pool:
+        for case, answer in zip(cases, pool.map(play, cases), strict=True):
+            judged = verdict(case, answer)
+            wrong += judged != 'right'
+            print(f'{case.scene.dialect:8}{label(case):35} {judged:11}expected: '
+                  f'{spell(case.told) or "-"}; said: {spell(answer.warned) or "-"}'
+                  + (f' (OK: {spell(answer.others)})' if answer.others else ''), flush=True)
+            if judged != 'right' and answer.messages:
                 print(*(f'        {message}' for message in answer.messages), sep='\n', flush=True)
     return min(wrong, 125)
 

@@ -38,7 +38,7 @@ def run(options):
     with tempfile.TemporaryDirectory() as folder, patch.dict(
             os.environ, XDG_RUNTIME_DIR=folder), ExitStack() as stack:
         listener = stack.enter_context(Child('benchmark.heard', 'tap:heard', '0'))
-        listener.hear()
+        listener.read_json()
         cases = {name: partial(_turn, *_master(stack, env)) for name, env in (
             (PLAIN, None), (ALONE, environment('alone')), (HEARD, environment('heard')))}
         if shutil.which('strace'):
@@ -48,8 +48,8 @@ def run(options):
         for turn in cases.values():            # the first calls are slower
             turn()
         turns = interleaved(cases, rounds)
-        listener.tell('report')
-        said = listener.hear()['bytes']
+        listener.send_json('report')
+        said = listener.read_json()['bytes']
     if said != 2 * CALLS * len(PACKET) * (rounds + 1):
         raise OSError(f'the listener heard {said} bytes; so this measures nothing')
     return [figure for call in ('write', 'read') for figure in _figures(call, turns)]
@@ -58,15 +58,15 @@ def run(options):
 def _master(stack, env, *under):
     pty = stack.enter_context(Pty())
     master = stack.enter_context(Child(*under, 'benchmark.tap_master', pty.path, env=env))
-    master.hear()
+    master.read_json()
     return master, pty
 
 
 def _turn(master, pty):
     """Have a master write and read; return the median times (us) of both."""
     os.write(pty.master, PACKET * CALLS)
-    master.tell(CALLS)
-    times = master.hear()
+    master.send_json(CALLS)
+    times = master.read_json()
     with suppress(BlockingIOError):
         while os.read(pty.master, 65_536):
             pass

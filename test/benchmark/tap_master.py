@@ -8,7 +8,7 @@ from time import perf_counter_ns
 
 import serial
 
-from rigs.harness import say
+from rigs.harness import print_json
 
 PACKET = bytes.fromhex('fffffd0001030001194e')
 
@@ -16,9 +16,9 @@ PACKET = bytes.fromhex('fffffd0001030001194e')
 def main(path):
     """For each number that comes write and read so many packets; say the median times (us)."""
     with serial.Serial(path, 1_000_000, timeout=5.0) as port:
-        say({'open': True})
+        print_json({'open': True})
         for line in sys.stdin:
-            say(_calls(port, int(line)))
+            print_json(_calls(port, int(line)))
 
 
 def _calls(port, count):

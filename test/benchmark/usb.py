@@ -1,21 +1,19 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The same bus at 4.5 MBd through a tty and through `usb:`: what is lost, what it costs.
+A bus at 4.5 MBd through `usb:`: what is lost, what it costs.
 
-A recorded stream (a robot that walks, without a pause on the wire) is played at its own pace: to a
-pty, and as the events of an FTDI adapter with a latency timer of 1 ms. The listener and its reader
-are a process each, as in the node; the monitor takes what comes, nothing is published.
+A recorded stream (a robot that walks, without a pause on the wire) is played at its own pace, as
+the events of an FTDI adapter with a latency timer of 1 ms. The listener and its reader are a
+process each, as in the node; the monitor takes what comes, nothing is published.
 """
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 import socket
 import tempfile
 import time
-from typing import NamedTuple
 
 from benchmark.traffic import ROBOT
 from mecarover_fakes.fake_bus import make_devices
@@ -24,10 +22,8 @@ from mecarover_fakes.line import MASTER
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
 from mecarover_fakes.usb_adapter import FakeAdapter
-from mecarover_fakes.virtual_uart import VirtualUart
 from rigs.harness import Child
 from rigs.harness import Figure
-from rigs.harness import interleaved
 from rigs.harness import usage
 from servobus.model.models import Models
 
@@ -39,70 +35,39 @@ TRANSFER = 510                  # bytes of the line in a full one
 LEAD_NS = 1_500_000_000         # until the listener is there
 
 
-class Run(NamedTuple):
-    """What came of one run: share of a core, 0 to 1; bytes sent and bytes that were not heard."""
-
-    cpu: float
-    sent: int
-    lost: int
-
-    @property
-    def cpu_per_byte(self):
-        return self.cpu / (self.sent - self.lost)
-
-
 def run(options):
-    """Play the stream both ways, one round after the other."""
+    """Play the stream in each round."""
     seconds = min(options.seconds, 5.0)
-    bursts = list(_master().bursts(round(seconds * S)))
-    results = interleaved({'tty': partial(through_tty, bursts, seconds),
-                           'usb:': partial(through_usb, bursts, seconds)}, options.rounds)
-    figures = []
-    for name, runs in results.items():
-        section = f'usb: {BAUD / 1e6:g} MBd through {name}'
-        figures += [
-            Figure(section, 'CPU of listener, reader and monitor', '%',
-                   [100 * one.cpu for one in runs]),
-            Figure(section, f'bytes lost of {runs[0].sent}', 'B', [one.lost for one in runs])]
-    pairs = list(zip(results['usb:'], results['tty'], strict=True))
-    return [*figures,
-            Figure('usb: compared with the tty', 'CPU', 'times',
-                   [usb.cpu / tty.cpu for usb, tty in pairs]),
-            Figure('usb: compared with the tty', 'CPU per byte that was heard', 'times',
-                   [usb.cpu_per_byte / tty.cpu_per_byte for usb, tty in pairs])]
-
-
-def _master():
-    return Master(Line(make_devices(list(ROBOT), Models(), BAUD), BAUD), PATTERNS['moving'],
-                  rate=0, gap=0)
-
-
-def through_tty(bursts, seconds):
-    outlet = VirtualUart()
-    try:
-        with Child('benchmark.heard', outlet.path, str(BAUD)) as listener:
-            rows = [(burst.end, burst.data) for burst in bursts]
-            return _measure(listener, rows, outlet.write, seconds,
-                            sum(len(burst.data) for burst in bursts), time.monotonic_ns)
-    finally:
-        outlet.close()
+    line = Line(make_devices(list(ROBOT), Models(), BAUD), BAUD)
+    bursts = list(Master(line, PATTERNS['moving'], rate=0, gap=0).bursts(round(seconds * S)))
+    sent = sum(len(burst.data) for burst in bursts)
+    rounds = [through_usb(bursts, seconds) for _ in range(options.rounds)]
+    section = f'usb: {BAUD / 1e6:g} MBd'
+    return [Figure(section, 'CPU of listener, reader and monitor', '%',
+                   [100 * cpu for cpu, _ in rounds]),
+            Figure(section, f'bytes lost of {sent}', 'B', [sent - heard for _, heard in rounds])]
 
 
 def through_usb(bursts, seconds):
-    with tempfile.TemporaryDirectory() as folder, socket.socket(socket.AF_UNIX) as door:
+    """Return the share of a core that hearing them takes, and how many bytes are heard."""
+    with tempfile.TemporaryDirectory() as folder, socket.socket(socket.AF_UNIX) as server:
         path = Path(folder, 'usb')
-        door.bind(str(path))
-        door.listen()
+        server.bind(str(path))
+        server.listen()
         with Child('benchmark.heard', f'usb:{path}', '0') as listener:
-            reader, _ = door.accept()
+            reader, _ = server.accept()
             with reader:
                 adapter = FakeAdapter('ftdi')
                 begin = time.time_ns() + LEAD_NS
                 reader.sendall(adapter.plug(begin) + adapter.set_baud(BAUD, begin))
-                rows = [(at, make(data, begin + at)) for at, make, data in _transfers(
+                rows = [(begin + at, make(data, begin + at)) for at, make, data in _transfers(
                     bursts, adapter)]
-                return _measure(listener, rows, reader.sendall, seconds,
-                                sum(len(burst.data) for burst in bursts), time.time_ns, begin)
+                listener.read_json()
+                before = usage(listener.pid)
+                _play(rows, reader.sendall)
+                cpu_s = usage(listener.pid).cpu_s - before.cpu_s
+                listener.send_json('report')
+                return cpu_s / seconds, listener.read_json()['bytes']
 
 
 def _transfers(bursts, adapter):
@@ -123,14 +88,11 @@ def _transfers(bursts, adapter):
         yield ended, adapter.received, held
 
 
-def _measure(listener, rows, write, seconds, sent, clock, begin=None):
-    """Play rows of (when in ns, what) at their pace; return what the listener made of it."""
-    listener.hear()
-    begin = clock() if begin is None else begin
-    before = usage(listener.pid)
+def _play(rows, write):
+    """Write rows of (when in ns, what) at their pace."""
     at = 0
     while at < len(rows):
-        now = clock() - begin
+        now = time.time_ns()
         first = at
         while at < len(rows) and rows[at][0] <= now:
             at += 1
@@ -138,6 +100,3 @@ def _measure(listener, rows, write, seconds, sent, clock, begin=None):
             write(b''.join(row for _, row in rows[first:at]))
         time.sleep(TICK_NS / S)
     time.sleep(0.3)
-    cpu_s = usage(listener.pid).cpu_s - before.cpu_s
-    listener.tell('report')
-    return Run(cpu_s / seconds, sent, sent - listener.hear()['bytes'])

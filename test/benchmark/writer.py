@@ -19,8 +19,8 @@ from benchmark.traffic import TRACE
 from benchmark.traffic import trace_packets
 from mecarover_fakes.line import wire_ns
 from mecarover_fakes.virtual_uart import VirtualUart
+from rigs.harness import print_json
 from rigs.harness import quantile
-from rigs.harness import say
 
 TICK_S = 0.001
 LATE_BYTES = 2048               # when this process is later than that, the bus stands still
@@ -72,17 +72,18 @@ def main():
     traffic = trace_packets(Path(order['trace'])) if order['kind'] == TRACE else \
         packets(order['kind'], devices=tuple(order['devices']))
     outlet = VirtualUart()
-    say({'port': outlet.path})
+    print_json({'port': outlet.path})
     duration = json.loads(sys.stdin.readline())
     baud, gap = order['baud'], order['gap_us'] * 1000
     gaps = spaced(outlet, traffic, baud, gap) if gap else steady(outlet, traffic, baud)
     _write_for(duration['settle'], gaps)
     before = outlet.totals()
-    say({'measuring': True})
+    print_json({'measuring': True})
     seconds, taken = _write_for(duration['seconds'], gaps)
     after = outlet.totals()
-    say({'seconds': seconds, 'gap_us': [quantile(taken, share) / 1000 for share in (0.5, 0.99)],
-         **{name: after[name] - before[name] for name in after}})
+    print_json({
+        'seconds': seconds, 'gap_us': [quantile(taken, share) / 1000 for share in (0.5, 0.99)],
+        **{name: after[name] - before[name] for name in after}})
     sys.stdin.readline()        # the port stays until the other end has said all it knows
 
 

@@ -75,7 +75,7 @@ def dialogue(script, protocol):
                 after_ns = script.pick(PATIENCE_NS)
                 continue
             errors[one] = script.pick(ERRORS)
-            said.append(Said(False, one, errors[one], script.take(size).ljust(size, b'\0'),
+            said.append(Said(False, one, errors[one], script.take_bytes(size).ljust(size, b'\0'),
                              ANSWER_NS))
     return said
 
@@ -90,13 +90,13 @@ def exchange(script, protocol):
     if kind < 3:
         return number, 2, bytes((at, size)), [number], size
     if kind == 3:
-        return number, 3 + script.byte() % 2, bytes([at]) + script.take(size).ljust(size, b'\0'), \
-            [number], 0
+        code = 3 + script.byte() % 2
+        return number, code, bytes([at]) + script.take_bytes(size).ljust(size, b'\0'), [number], 0
     if kind == 4:
         return number, 5, b'', [number], 0
     if kind == 5 and protocol == 'feetech':
         return 0xFE, 0x82, bytes((at, size, *IDS)), list(IDS), size
-    parts = b''.join(bytes([one]) + script.take(size).ljust(size, b'\0') for one in IDS)
+    parts = b''.join(bytes([one]) + script.take_bytes(size).ljust(size, b'\0') for one in IDS)
     return 0xFE, 0x83, bytes((at, size)) + parts, [], 0
 
 

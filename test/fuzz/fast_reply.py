@@ -31,7 +31,7 @@ def check(data):
     accesses = tuple(Access(*one, None) for one in zip(ids, [AT] * len(ids), sizes, strict=True))
     blocks = [(_error(script), number, _data(script, size))
               for number, size in zip(ids, sizes, strict=True)]
-    cut, bit, wrong, garbage = script.word(), script.word(), script.byte(), script.rest()
+    cut, bit, wrong, garbage = script.word(), script.word(), script.byte(), script.take_rest()
     reply = fast_reply(blocks)[4:]
     ends = [4 + sum(sizes[:n + 1]) + 4 * (n + 1) for n in range(len(sizes))]
 
@@ -83,5 +83,5 @@ def _error(script):
 
 
 def _data(script, size):
-    return b''.join(script.pick(TRICKY) if script.byte() > 200 else script.take(4)
+    return b''.join(script.pick(TRICKY) if script.byte() > 200 else script.take_bytes(4)
                     for _ in range(size // 4 + 1)).ljust(size, b'\0')[:size]

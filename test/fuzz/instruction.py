@@ -18,6 +18,7 @@ from msg_defs.dxl_packet import packet_of
 from msg_defs.dxl_packet import stuff
 from msg_defs.dxl_packet import unstuff
 from rigs.bus import frames
+from rigs.bus.frames import two
 
 # By the e-Manual: what has parameters of one form only; all else takes any.
 KEYS = {b'DXL"': 'multi-turn', b'ERCL': 'error'}
@@ -47,7 +48,7 @@ def check(data):
     kind = script.byte()
     instruction = script.byte() if kind > 200 else INSTRUCTIONS[kind % len(INSTRUCTIONS)]
     number = 0xFE if script.byte() > 200 else script.byte()
-    params = _made(script, instruction) if script.byte() < 150 else script.rest()
+    params = make_params(script, instruction) if script.byte() < 150 else script.take_rest()
     request = parse(instruction, number, params)
     assert (request.instruction, request.id) == (instruction, number)
     assert name_of(instruction)
@@ -89,16 +90,16 @@ def answers(instruction, number):
 def comes_back(number, instruction, params):
     wire = encode(number, instruction, params)
     content = bytes([instruction]) + frames.stuffed(params)
-    head = b'\xff\xff\xfd\x00' + bytes([number]) + _u16(len(content) + 2) + content
-    assert wire == head + _u16(reference.crc16(head))
+    head = b'\xff\xff\xfd\x00' + bytes([number]) + two(len(content) + 2) + content
+    assert wire == head + two(reference.crc16(head))
     packet, = (packet_of(one, 1) for one in Framer().frames(wire))
     assert packet[2:] == (number, instruction, None, params, False)
 
 
-def _made(script, instruction):
+def make_params(script, instruction):
     """Return parameters of about the right form."""
     length = script.pick((0, 1, 2, 4, 4, 7, 300))
-    where, size = _u16(script.word()), _u16(length)
+    where, size = two(script.word()), two(length)
     ids = [script.byte() for _ in range(script.byte() % 6)]
     if instruction in (0x92, 0x9A):
         made = b''.join(bytes([one]) + where + size for one in ids)
@@ -113,33 +114,29 @@ def _made(script, instruction):
                             b'\xff', b'\x01', b'\x02', b'\x03', b''))
     else:
         made = where + _content(script, length)
-    return made[:-1] if script.byte() > 220 else made + script.take(script.byte() // 128)
+    return made[:-1] if script.byte() > 220 else made + script.take_bytes(script.byte() // 128)
 
 
 def _content(script, size):
-    return b''.join(script.pick(TRICKY) if script.byte() > 150 else script.take(4)
+    return b''.join(script.pick(TRICKY) if script.byte() > 150 else script.take_bytes(4)
                     for _ in range(size // 4 + 1)).ljust(size, b'\xff')[:size]
-
-
-def _u16(value):
-    return value.to_bytes(2, 'little')
 
 
 def _one(accesses):
     [access] = accesses
-    return _u16(access.address) + (_u16(access.length) if access.data is None else access.data)
+    return two(access.address) + (two(access.length) if access.data is None else access.data)
 
 
 def _sync(accesses):
     """Spell what all have in common once."""
     first = accesses[0]
     assert all((one.address, one.length) == (first.address, first.length) for one in accesses)
-    return _u16(first.address) + _u16(first.length) + b''.join(
+    return two(first.address) + two(first.length) + b''.join(
         bytes([one.id]) + (one.data or b'') for one in accesses)
 
 
 def _bulk(accesses):
-    return b''.join(bytes([one.id]) + _u16(one.address) + _u16(one.length) + (one.data or b'')
+    return b''.join(bytes([one.id]) + two(one.address) + two(one.length) + (one.data or b'')
                     for one in accesses)
 
 
@@ -159,7 +156,7 @@ def _bulk_entries(params):
 def _is_bulk_write(params):
     entries = _bulk_entries(params)
     return bool(entries) and params == b''.join(
-        bytes([number]) + _u16(address) + _u16(len(data)) + data
+        bytes([number]) + two(address) + two(len(data)) + data
         for number, address, data in entries)
 
 

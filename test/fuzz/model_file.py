@@ -3,10 +3,8 @@
 """Model files: any text in a folder of the user's, and what a table makes of it."""
 
 from itertools import pairwise
-import math
 from pathlib import Path
 import re
-import struct
 from tempfile import TemporaryDirectory
 
 import yaml
@@ -52,8 +50,6 @@ NUMBERS = (b'0', b'1', b'2', b'3', b'7', b'8', b'15', b'16', b'20', b'26', b'60'
            b'-1', b'4096', b'65533', b'65535', b'65536', b'0.0', b'-0.5', b'1e-3', b'1e99')
 NUMBER = re.compile(rb'(?<![a-z0-9])-?[0-9]+(?:\.[0-9]+)?')
 IMAGES = (b'\xff', b'\x80', b'\0', b'\0\0\x80\x7f', b'\x01\0', bytes(range(256)))
-CODES = {'u8': 'B', 'i8': 'b', 'u16': 'H', 'i16': 'h', 'u32': 'I', 'i32': 'i', 'u64': 'Q',
-         'i64': 'q', 'f32': 'f', 'f64': 'd'}
 
 
 def check(data):
@@ -62,13 +58,13 @@ def check(data):
 
     Never raises but ModelError, one line with a remedy; both ways of checking agree; what is
     taken gives no key twice and describes a table: registers that lie in 0 to 65535, one
-    behind the other, called by one name each, and all they refer to is there. Any bytes decode
-    to what struct, scale, offset, sign bit, words and bits make of them.
+    behind the other, called by one name each, and all they refer to is there. Any bytes are shown
+    by it.
     """
     script = Script(data)
     raw = script.byte() < 40
     image = data[-64:] if len(data) % 3 else script.pick(IMAGES)
-    text = script.rest() if raw else mutated(script)
+    text = script.take_rest() if raw else mutated(script)
     with TemporaryDirectory(dir=_fast()) as folder:
         Path(folder, 'm.yaml').write_bytes(text)
         problems = check_models(folder)
@@ -84,7 +80,7 @@ def check(data):
         no_key_twice(yaml.compose(text, yaml.CSafeLoader))
         for number in models.names():
             if number < 100:
-                show(models, number, (image * 768)[:768])
+                show_image(models, number, (image * 768)[:768])
 
 
 def mutated(script):
@@ -96,7 +92,8 @@ def mutated(script):
         at = script.word() % len(text)
         if what < 110:
             size = script.byte() % 24
-            piece = script.pick(WORDS) if script.byte() < 160 else script.take(script.byte() % 8)
+            piece = script.pick(WORDS) if script.byte() < 160 else script.take_bytes(
+                script.byte() % 8)
             text = text[:at] + piece + text[at + size:]
         elif what < 140:
             lines.insert(at % len(lines), lines[script.byte() % len(lines)])
@@ -121,7 +118,7 @@ def no_key_twice(node):
             no_key_twice(one)
 
 
-def show(models, number, image):
+def show_image(models, number, image):
     for firmware in (None, 0, 40, 41):
         model = models.get(number, firmware)
         assert model is not None, models.problems
@@ -131,10 +128,6 @@ def show(models, number, image):
         for seen in table.observed(model, 2):
             assert isinstance(seen.value.text, str)
             assert seen.field.key
-        for field in model.fields:
-            raw = image[:field.size]
-            for one in (field, *(field.cases.fields.values() if field.cases else ())):
-                means(one, raw)
 
 
 def is_a_table(model):
@@ -147,35 +140,6 @@ def is_a_table(model):
     for one in model.indirect:
         assert 0 <= one.address <= 0x10000 - 2 * one.size
         assert 0 <= one.data <= 0x10000 - one.size
-
-
-def means(field, raw):
-    """Hold that a register says of these bytes what its description does."""
-    value = field.decode(raw)
-    code, = struct.unpack('<' + CODES[field.type], raw)
-    assert repr(value.raw) == repr(code)
-    if isinstance(code, float) and not math.isfinite(code):
-        assert value.number is None
-    elif field.flags:
-        assert value.number is None
-        known = sum(one.mask << one.shift for one in field.flags)
-        beyond = [f'bit {bit}' for bit in range(64) if code & ~known & 1 << bit]
-        said = value.text.split(', ')
-        assert said[len(said) - len(beyond):] == beyond
-        for one in field.flags:
-            part = code >> one.shift & one.mask
-            assert part >= len(one.words) or one.words[part] in value.text
-    elif isinstance(code, int) and code in (field.enum or {}):
-        assert value.text == str(field.enum[code]) or value.number == field.enum[code]
-    elif isinstance(code, float) or not field.in_words:
-        number = code
-        if field.sign_bit is not None:
-            low = code % 2 ** field.sign_bit
-            number = -low if code // 2 ** field.sign_bit % 2 else low
-        assert value.number == (
-            number if field.scale is None else number * field.scale + field.offset)
-        assert field.hexadecimal or abs(float(value.text) - value.number) <= max(
-            1e-5 * abs(value.number), abs(field.scale or 0.0))
 
 
 def _fast():

@@ -11,6 +11,7 @@ It sees a stream as a whole and is slow. Sources: e-Manual, Protocol 2.0 and 1.0
 from typing import NamedTuple
 
 from rigs.bus import frames
+from rigs.bus import frames1
 
 TAIL = b'\xff\xfd\x00'                 # a header, but for its first byte, which may have got lost
 LONGEST = 1024                         # Length of a packet
@@ -138,8 +139,4 @@ class Said(NamedTuple):
 
     @property
     def wire(self):
-        content = bytes([self.number, len(self.params) + 2, self.code]) + self.params
-        total = 0
-        for byte in content:
-            total += byte
-        return b'\xff\xff' + content + bytes([255 - total % 256])
+        return frames1.packet(self.number, self.code, self.params)

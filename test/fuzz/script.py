@@ -31,26 +31,26 @@ class Script:
     def __bool__(self):
         return self._at < len(self._data)
 
-    def take(self, size):
+    def take_bytes(self, size):
         taken = self._data[self._at:self._at + size]
         self._at += size
         return taken
 
-    def rest(self):
-        return self.take(len(self._data))
+    def take_rest(self):
+        return self.take_bytes(len(self._data))
 
     def byte(self):
-        return int.from_bytes(self.take(1), 'little')
+        return int.from_bytes(self.take_bytes(1), 'little')
 
     def word(self):
-        return int.from_bytes(self.take(2), 'little')
+        return int.from_bytes(self.take_bytes(2), 'little')
 
     def pick(self, choices):
         return choices[self.byte() % len(choices)]
 
 
 def _raw(script, last):
-    return script.take(script.byte())
+    return script.take_bytes(script.byte())
 
 
 def _tricky(script, last):
@@ -59,7 +59,7 @@ def _tricky(script, last):
 
 def _params(script):
     return b''.join(script.pick(TRICKY) if one > 240 else bytes([one])
-                    for one in script.take(script.byte() % 48))
+                    for one in script.take_bytes(script.byte() % 48))
 
 
 def _instruction(script, last):
@@ -78,7 +78,7 @@ def _read(script, last):
     ids = [script.byte() % 6 for _ in range(1 + script.byte() % 4)]
     size = script.byte() % 8
     where = script.word().to_bytes(2, 'little') + size.to_bytes(2, 'little')
-    answers = [encode(one, STATUS, script.take(size).ljust(size, b'\0'), _error(script))
+    answers = [encode(one, STATUS, script.take_bytes(size).ljust(size, b'\0'), _error(script))
                for one in ids if script.byte() < 200]
     return encode(BROADCAST, 0x82, where + bytes(ids)) + b''.join(answers)
 
@@ -87,7 +87,7 @@ def _fast_read(script, last):
     ids = [*dict.fromkeys(script.byte() % 6 for _ in range(1 + script.byte() % 4))]
     size = script.byte() % 8
     where = script.word().to_bytes(2, 'little') + size.to_bytes(2, 'little')
-    blocks = [(_error(script), one, script.take(size).ljust(size, b'\0')) for one in ids]
+    blocks = [(_error(script), one, script.take_bytes(size).ljust(size, b'\0')) for one in ids]
     return encode(BROADCAST, 0x8A, where + bytes(ids)) + fast_reply(blocks)
 
 
@@ -137,11 +137,12 @@ def _tricky_1(script, last):
 
 
 def _packet_1(script, last):
-    return dxl1_packet.encode(script.byte(), script.byte(), script.take(script.byte() % 24))
+    return dxl1_packet.encode(script.byte(), script.byte(), script.take_bytes(script.byte() % 24))
 
 
 PIECES_2 = (_raw, _tricky, _instruction, _instruction, _status, _status, _read, _read, _fast_read,
             _flipped, _cut, _headless, _again)
+NOISE = (_raw, _raw, _tricky, _tricky_1)
 PIECES_1 = (_raw, _raw, _tricky_1, _tricky_1, _packet_1, _packet_1, _flipped, _cut)
 
 

@@ -1,9 +1,8 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tracker and Monitor: any traffic, with pauses, to a report and what is published of it."""
+"""Tracker and Monitor: any traffic, with pauses, to a report."""
 
 from functools import lru_cache
-import json
 
 from fuzz.framer import pieces
 from fuzz.framer import Watched
@@ -13,10 +12,6 @@ from msg_defs.dxl_packet import encode
 from servobus.bus.decoder import BusDecoder
 from servobus.model.models import Models
 from servobus.monitor import Monitor
-from servobus.status import bus_status
-from servobus.status import device_metrics
-from servobus.status import device_status
-from servobus.status import PortState
 
 MODELS = Models()
 PAUSES_NS = (0, 0, 0, 1_000, 1_000_000, 30_000_000, 1_500_000_000, 12_000_000_000)
@@ -26,14 +21,13 @@ SLOTS = 8192 + 255                     # for all plans together, and those of th
 TABLE_END = 0x4000
 SPANS = 64
 ERRORS = 64
-PORT = PortState('port', '', ())
 
 
 def check(data):
     """
     Check one bus over one stretch of traffic.
 
-    Never raises, in a report and its statuses neither; every byte is packet, noise or pending, by
+    Never raises, in a report neither; every byte is packet, noise or pending, by
     a count of its own; all that is kept is bounded, also of a flood; an ID is 0 to 252; what came
     at one stamp gives the same in any split, but where the first chunk after a pause decides.
     """
@@ -83,7 +77,6 @@ def run(bursts):
     report = monitor.report(now)
     bounded(report, total, framer)
     assert report.counters['Pending Bytes'] == 0
-    published(report)
     kept(monitor)
     tables = {number: one.table for number, one in monitor.decoder.registry.devices.items()}
     assert all(len(one._settle().data) <= TABLE_END for one in tables.values())
@@ -114,20 +107,3 @@ def bounded(report, total, framer):
     assert counters['Packets'] == len(framer.good)
     assert all(len(getattr(report, name)) <= limit for name, limit in LIMITS.items())
     assert len({device.id for device in report.devices}) == len(report.devices) <= 253
-
-
-def published(report):
-    """Hold that statuses are text throughout, and that `observed` is JSON."""
-    statuses = [bus_status('dxl_monitor', '', report, PORT, True)]
-    statuses += [device_status('dxl_monitor', '', device, report.findings, True)
-                 for device in report.devices]
-    assert len({status.name for status in statuses}) == len(statuses)
-    for status in statuses:
-        for key, value in status.values:
-            assert isinstance(key, str) and isinstance(value, str)
-            (key + value).encode()
-        observed = dict(status.values).get('observed')
-        if observed is not None:
-            assert all(age_s >= 0 and source in 'rw'
-                       for age_s, source in json.loads(observed).values())
-    device_metrics(report)

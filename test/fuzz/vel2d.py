@@ -38,7 +38,7 @@ def check(data):
         assert decode(number.to_bytes(SIZE, 'little'), crc) is None
     for size in (frame[:at] + frame[at + 1:], frame + frame[at:at + 1], frame[:at], frame * 2):
         assert decode(size, crc) is None
-    rest = script.rest()
+    rest = script.take_rest()
     for candidate in (rest, rest[:SIZE]):
         velocity = decode(candidate, crc)
         is_frame = len(candidate) == SIZE and candidate[24:] == CRCS[name](
@@ -51,4 +51,4 @@ def value(script):
     """Return the 8 bytes of a double: any, or one that is easily got wrong."""
     if script.byte() < 100:
         return struct.pack('<d', script.pick(TELLING))
-    return script.take(8).ljust(8, b'\0')
+    return script.take_bytes(8).ljust(8, b'\0')

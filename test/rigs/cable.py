@@ -17,12 +17,15 @@ import time
 import tty
 from typing import NamedTuple
 
+from rigs.damage import flip_bit
+from rigs.damage import lose_byte
 from servobus.port.pty import Pty
 
 TICK_S = 0.002
 PAUSE_TURNS = 2
 PAUSE_WITHIN_S = 1.0
 ARRIVALS_PER_TURN = 8                           # four times what comes: a pty takes 17 KiB
+FLOOD_BYTES_PER_S = 200_000
 KEPT_BYTES = 2048               # the beginning of a line
 NO_FAULT = {'drop': 0.0, 'flip': 0.0, 'delay_s': 0.0}
 
@@ -50,7 +53,7 @@ class Cable:
 
     def __init__(self, device, link, seed=1):
         self.path = str(link)
-        self.carried = self.damaged = 0
+        self.carried = 0
         self.lost = 0                           # bytes that were not taken
         self.delivered = 0                      # bytes that the node's side took
         self.lines = []
@@ -95,10 +98,10 @@ class Cable:
             self._stalled = True
             self._until = time.monotonic_ns()
 
-    def flood(self, seconds, bytes_per_s=200_000):
+    def flood(self, seconds):
         """Send noise to the node for a while."""
         with self._lock:
-            self._flood = time.monotonic() + seconds, int(bytes_per_s * TICK_S)
+            self._flood = time.monotonic() + seconds, int(FLOOD_BYTES_PER_S * TICK_S)
 
     def calm(self):
         """End all faults but a cut."""
@@ -194,21 +197,15 @@ class Cable:
         self.carried += len(chunk)
         if source == self._near.master and len(self.lines[-1].written) < KEPT_BYTES:
             self.lines[-1].written.extend(chunk)
-        arriving = self._spoil(chunk)
-        self.damaged += arriving != chunk
-        self._late.append((time.monotonic() + self._faults['delay_s'], target, arriving))
+        self._late.append((time.monotonic() + self._faults['delay_s'], target, self._spoil(chunk)))
         return True
 
     def _spoil(self, chunk):
         chance, faults = self._chance, self._faults
         if chance.random() < faults['drop']:
-            at = chance.randrange(len(chunk))
-            chunk = chunk[:at] + chunk[at + 1:]
+            chunk = lose_byte(chance, chunk)
         if chunk and chance.random() < faults['flip']:
-            bit = chance.randrange(8 * len(chunk))
-            damaged = bytearray(chunk)
-            damaged[bit // 8] ^= 1 << bit % 8
-            chunk = bytes(damaged)
+            chunk = flip_bit(chance, chunk)
         return chunk
 
     def _deliver(self):

@@ -32,9 +32,7 @@ class Options(NamedTuple):
     quick: bool = False
     trace: Path | None = None           # a recorded robot trace, raw bytes
     seconds: float = 10.0               # per experiment through a pty
-    settle_s: float = 1.0               # before it is measured
     soak_minutes: float = 5.0
-    load_minutes: float = 5.0
     asked_rounds: int | None = None     # else what is usual
 
     @property
@@ -129,7 +127,6 @@ class Usage(NamedTuple):
     """What a process and its children have taken so far."""
 
     cpu_s: float
-    wake_ups: int                       # voluntary context switches, of all threads
     resident_mb: float                  # what they share counts for each
 
     def __add__(self, other):
@@ -139,9 +136,7 @@ class Usage(NamedTuple):
 def usage(pid):
     """Return what a process and its living children have taken so far."""
     fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
-    tasks = list(Path(f'/proc/{pid}/task').iterdir())
-    wake_ups = sum(_status(task / 'status', 'voluntary_ctxt_switches') for task in tasks)
-    own = Usage((int(fields[11]) + int(fields[12])) / _TICKS, wake_ups,
+    own = Usage((int(fields[11]) + int(fields[12])) / _TICKS,
                 _status(Path(f'/proc/{pid}/status'), 'VmRSS') / 1024)
     return sum(map(usage, children(pid)), own)
 
@@ -211,19 +206,19 @@ class Child:
             start_new_session=True)         # Ctrl-C is for this process, which ends its children
         self.pid = self._process.pid
 
-    def hear(self):
+    def read_json(self):
         """Return the next line of JSON that the child says, decoded."""
-        while not (line := self.line()).startswith(('{', '[')):
+        while not (line := self.read_line()).startswith(('{', '[')):
             pass
         return json.loads(line)
 
-    def line(self):
+    def read_line(self):
         """Return the next line that the child says."""
         if line := self._process.stdout.readline():
             return line
         raise ChildProcessError(f'python -m {self._module}: ended early; run it alone to see why')
 
-    def tell(self, thing):
+    def send_json(self, thing):
         self._process.stdin.write(json.dumps(thing) + '\n')
         self._process.stdin.flush()
 
@@ -254,6 +249,6 @@ class Child:
                 stream.close()
 
 
-def say(thing):
-    """Say one thing to the process that started this one (see Child.hear)."""
+def print_json(thing):
+    """Say one thing to the process that started this one (see Child.read_json)."""
     print(json.dumps(thing), flush=True)

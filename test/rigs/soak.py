@@ -98,8 +98,10 @@ class _Soak:
         folder = Path(stack.enter_context(TemporaryDirectory()))
         self._chance = random.Random(SEED)
         self._mcu = stack.enter_context(RunningMcu(str(folder / 'mcu')).running())
-        stack.enter_context(Child('mecarover_fakes.fake_bus', '--link', str(folder / 'bus'),
-                                  '--devices', DEVICES, '--pattern', 'moving', env=env)).line()
+        fake_bus = stack.enter_context(Child(
+            'mecarover_fakes.fake_bus', '--link', str(folder / 'bus'), '--devices', DEVICES,
+            '--pattern', 'moving', env=env))
+        fake_bus.read_line()
         self._cables = [
             stack.enter_context(Cable(str(folder / device), folder / f'{device}_cable', seed))
             for seed, device in enumerate(('mcu', 'bus'))]
@@ -123,22 +125,22 @@ class _Soak:
         self._samples = []
 
     def run(self, seconds):
-        if not self._waited(lambda: not self._watch.not_well(0), START_S):
+        if not self._wait_until(lambda: not self._watch.not_well(0), START_S):
             raise TimeoutError('soak: the nodes are not well from the start; run them alone: '
                                + '; '.join(self._ends() or self._watch.not_well(0)))
-        self._waited(self._driver.is_heard, START_S)
+        self._wait_until(self._driver.is_heard, START_S)
         print('soak: all is well, faults from now on', file=sys.stderr, flush=True)
         begin_s = time.monotonic()
         self._driver.start()
         while time.monotonic() < begin_s + seconds and not self._ends():
-            self._quiet()
-            self._strike()
+            self._run_undisturbed()
+            self._cause_fault()
         self._driver.stop()
         end = time.time_ns()
-        if not self._waited(lambda: not self._watch.not_well(end), END_S):
+        if not self._wait_until(lambda: not self._watch.not_well(end), END_S):
             for line in self._watch.not_well(end):
                 self._complain('statuses not well at the end', line)
-        self._quiet()
+        self._run_undisturbed()
         for line in self._ends():
             self._complain('nodes ended', line)
         return self._figures(time.monotonic() - begin_s)
@@ -153,12 +155,12 @@ class _Soak:
         return [f'{name}: ended with {node.end}'
                 for name, node in zip(NODES, self._nodes, strict=True) if node.end]
 
-    def _waited(self, condition, seconds):
+    def _wait_until(self, condition, seconds):
         """Wait for a condition, but not for a node that has ended."""
-        return self._machine.waited(lambda: bool(self._ends()) or condition(), seconds) \
+        return self._machine.wait_until(lambda: bool(self._ends()) or condition(), seconds) \
             and condition()
 
-    def _strike(self):
+    def _cause_fault(self):
         """Let one fault happen for up to a second, and wait until its traces are gone."""
         self._faults += 1
         at = self._chance.randrange(2)
@@ -181,15 +183,15 @@ class _Soak:
         time.sleep(FAULT_S)
         self._driver.is_hindered = False
 
-    def _quiet(self):
+    def _run_undisturbed(self):
         """Let it run undisturbed until all is heard and all devices answer."""
         begin, watch = time.time_ns(), self._watch
-        is_heard = self._waited(lambda: not watch.silent(begin), ANSWER_S)
+        is_heard = self._wait_until(lambda: not watch.silent(begin), ANSWER_S)
         if self._ends():
             return
         for line in () if is_heard else watch.silent(begin):
             self._complain('silences', line)
-        self._waited(lambda: all(len(family(node.pid)) == right for node, right
+        self._wait_until(lambda: all(len(family(node.pid)) == right for node, right
                                  in zip(self._nodes, PROCESSES, strict=True)), ANSWER_S)
         for name, node, right in zip(NODES, self._nodes, PROCESSES, strict=True):
             if not node.end and len(family(node.pid)) != right:

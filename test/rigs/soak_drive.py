@@ -61,7 +61,7 @@ class Driver:
         while not has_moved or time.monotonic() - begin_s < DRIVE_S:
             self._publisher.publish(message)
             was_hindered |= self.is_hindered or self._done.is_set()
-            self._look()
+            self._check_velocities()
             has_moved |= not self._mcu.receiver.wheels.is_stop
             if self._machine.is_over(begin_s, DRIVE_S if was_hindered else MOVE_S, held_s):
                 break
@@ -82,7 +82,7 @@ class Driver:
                 stopped_s is None
                 and not self._machine.is_over(last_s, STOP_BOUND_S + LATE_S, held_s)):
             was_hindered |= self.is_hindered
-            self._look()
+            self._check_velocities()
             if not self._mcu.receiver.wheels.is_stop:
                 stopped_s = None
             elif stopped_s is None:
@@ -98,7 +98,7 @@ class Driver:
             self._complain('stops too late', f'{BRIDGE}: no stop within {taken_s:.3f} s; '
                            f'{self._mcu.totals()}')
 
-    def _look(self):
+    def _check_velocities(self):
         arrivals = self._mcu.receiver.arrivals
         while arrivals:
             velocity = arrivals.popleft().velocity

@@ -8,6 +8,7 @@ was last looked at. What takes too long is judged by the time in which the machi
 """
 
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 import threading
 import time
@@ -55,7 +56,7 @@ class Machine:
         passed_s = time.monotonic() - begin_s       # first: what follows reads a hundred files
         return passed_s > seconds and passed_s > self._patience_s(seconds, held_s)
 
-    def waited(self, condition, seconds):
+    def wait_until(self, condition, seconds):
         """Wait for a condition; return whether it came true in time."""
         held_s, begin_s = self.held_s(), time.monotonic()
         while not condition():
@@ -98,7 +99,7 @@ class Watch:
         self.node = rclpy.create_node('bench_soak')
         for topic in sorted({topic for topic, _ in WANTED}):
             self.node.create_subscription(
-                DiagnosticArray, topic, lambda array, topic=topic: self.take(topic, array), 100)
+                DiagnosticArray, topic, partial(self.accept_statuses, topic), 100)
         self._is_stopping = False
         self._thread = threading.Thread(target=self._spin, name='watch')
         self._thread.start()
@@ -107,7 +108,7 @@ class Watch:
         self._is_stopping = True
         self._thread.join()
 
-    def take(self, topic, array):
+    def accept_statuses(self, topic, array):
         stamp = array.header.stamp.sec * S + array.header.stamp.nanosec
         for status in array.status:
             values = {pair.key: pair.value for pair in status.values}

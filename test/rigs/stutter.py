@@ -28,7 +28,6 @@ from rigs.harness import state
 
 SHORTEST_S, LONGEST_S = 0.02, 0.5
 BUSY_LOOPS = 3
-BUSY = 'while True: pass'
 WRITE_SIZE = 1 << 20
 PR_SET_CHILD_SUBREAPER = 36
 
@@ -76,10 +75,21 @@ def stopping(seed, rate):
 
 
 @contextmanager
+def busy_loops(count):
+    """Keep so many cores busy."""
+    loops = [subprocess.Popen([sys.executable, '-c', 'while True: pass']) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for one in loops:
+            one.kill()
+            one.wait()
+
+
+@contextmanager
 def loading(seed, _rate):
     """Keep cores and disk busy; yields [processes, 0]."""
     chance, over = random.Random(seed), threading.Event()
-    busy = [subprocess.Popen([sys.executable, '-c', BUSY]) for _ in range(BUSY_LOOPS)]
 
     def write():
         with tempfile.TemporaryFile(dir=Path.cwd()) as file:
@@ -91,13 +101,11 @@ def loading(seed, _rate):
     writer = threading.Thread(target=write)
     writer.start()
     try:
-        yield [len(busy), 0.0]
+        with busy_loops(BUSY_LOOPS):
+            yield [BUSY_LOOPS, 0.0]
     finally:
         over.set()
         writer.join()
-        for one in busy:
-            one.kill()
-            one.wait()
 
 
 WAYS = {'stop': stopping, 'load': loading}

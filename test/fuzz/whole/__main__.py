@@ -34,7 +34,7 @@ TRIES = 60                         # to make a case smaller
 CASES_AT_ONCE = 100                # between two collections of garbage: a fifth faster
 
 
-def run(case, seed):
+def run_case(case, seed):
     """Run a case; what it raises is a fault."""
     try:
         with tempfile.TemporaryDirectory(prefix='whole_') as folder:
@@ -56,7 +56,7 @@ class Raise(logging.Handler):
 def fault_of(case, seed):
     """Return where a case fails and the exception, ('', None) if it does not."""
     try:
-        run(case, seed)
+        run_case(case, seed)
     except Exception as error:
         ours = [one for one in traceback.extract_tb(error.__traceback__)
                 if one.filename.startswith(str(ROOT))]
@@ -68,7 +68,7 @@ def fault_of(case, seed):
     return '', None
 
 
-def smaller(case, seed, where):
+def shrink_case(case, seed, where):
     """Return what is left of a case when chunks without a part in its fault are taken out."""
     heard, size, tries = list(case.heard), max(1, len(case.heard) // 2), TRIES
     while size and tries:
@@ -104,7 +104,7 @@ def main():
                 print(f'{time.process_time():.0f} s, case {count}: {where}: {str(error)[:200]}; '
                       f'again: scripts/python -m fuzz.whole --case {seed}', flush=True)
                 if options.small:
-                    print(*smaller(case, seed, where).heard, sep='\n', flush=True)
+                    print(*shrink_case(case, seed, where).heard, sep='\n', flush=True)
             if not count % CASES_AT_ONCE:
                 gc.collect()
     spent = time.process_time()

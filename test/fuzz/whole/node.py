@@ -69,7 +69,7 @@ class FedListener(Listener):
             os.close(self._wake_read)
             os.close(self._wake_write)
 
-    def hear(self, one, stamp):
+    def hear_chunk(self, one, stamp):
         self._deliver(Chunk(stamp, self._bus, one.data, one.side, one.change))
 
 
@@ -84,14 +84,14 @@ class Dashboard:
         self.history = HistoryWriter(self.file) if is_on else None
         self.terminal = terminal.Display(self.state, None, True)
 
-    def take(self, topic, message, now_s):
+    def accept_message(self, topic, message, now_s):
         if self.is_on and topic in TOPICS:
             data = cdr([(one.level[0], one.name, one.message, one.hardware_id,
                          [(pair.key, pair.value) for pair in one.values])
                         for one in message.status])
             self.state.store_message(topic, data, now_s)
 
-    def look(self, now_s):
+    def show_page(self, now_s):
         if not self.is_on:
             return
         state = self.state
@@ -109,7 +109,7 @@ class Dashboard:
         self.history.write(*self.recorder.take_batch())
         assert not state.malformed
 
-    def remember(self):
+    def ask_history(self):
         """Ask the history for all that it has, as the page and a spreadsheet do."""
         if self.is_on:
             self.history.close()
@@ -145,7 +145,7 @@ def through_node(case, folder):
         get_clock=lambda: SimpleNamespace(
             now=lambda: SimpleNamespace(nanoseconds=WALL + clock.now)),
         create_publisher=lambda kind, topic, *_, **__: SimpleNamespace(
-            publish=lambda message: page.take(topic, message, clock.now / 1e9),
+            publish=lambda message: page.accept_message(topic, message, clock.now / 1e9),
             get_subscription_count=lambda: 1))
     stopped = SimpleNamespace(monotonic=lambda: clock.now / 1e9, time_ns=lambda: WALL + clock.now,
                               monotonic_ns=lambda: clock.now,
@@ -174,26 +174,28 @@ def through_node(case, folder):
                 for bus in node._buses:
                     bus.listener._report_idle(clock.now)
                 node._timers.turn(clock.now / 1e9)
-                page.look(clock.now / 1e9)
+                page.show_page(clock.now / 1e9)
             if one is not None:
                 clock.now += pause if pause <= 100_000_000 else 0
                 stamp = clock.now if one.stamp is None else one.stamp
-                node._buses[one.bus].listener.hear(one, stamp)
+                node._buses[one.bus].listener.hear_chunk(one, stamp)
                 fed[one.bus] += len(one.data)
                 written.append((stamp, one.data, one.side, one.change))
             node._timers.turn(clock.now / 1e9)
         for bus, size in zip(node._buses, fed, strict=True):
-            all_counted(bus.report(clock.now).counters, size)
+            report = bus.report(clock.now)
+            all_counted(report.counters, size)
+            assert not (case.is_noise and report.devices), 'a device is made up'
         node._reset_statistics(None, SimpleNamespace())
         node._timers.turn(clock.now / 1e9 + 1)
-        page.look(clock.now / 1e9)
-        page.look(clock.now / 1e9 + 70)
+        page.show_page(clock.now / 1e9)
+        page.show_page(clock.now / 1e9 + 70)
         capture = node._recorders._all['Capture']
         capture._is_stopping.set()
         capture._run()
         assert not node._recorders.problem, node._recorders.problem
         node.stop()
-    page.remember()
+    page.ask_history()
     data = (folder / 'bus.txt').read_bytes()
     if values['capture_size'] > 1 and all(0 <= one[0] < STAMP_END for one in written):
         reader = Reader(io.BytesIO(data))

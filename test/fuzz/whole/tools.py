@@ -88,19 +88,19 @@ def raw(case, capture, chance):
     return b''.join(one.data for one in case.heard)
 
 
-def spoilt(case, capture, chance):
+def spoil_file(case, capture, chance):
     """Return a file of any form with something wrong in it."""
-    return wrong(chance.choice(FORMS[:4])(case, capture, chance), chance)
+    return damage_text(chance.choice(FORMS[:4])(case, capture, chance), chance)
 
 
-def wrong(data, chance):
+def damage_text(data, chance):
     for _ in range(chance.choice((1, 5, 30))):
         at = chance.randrange(len(data) + 1)
         data = data[:at] + damaged(chance, data[at:at + 40]) + data[at + 40:]
     return data
 
 
-FORMS = (lambda case, capture, chance: capture, usb, raw, packets, spoilt)
+FORMS = (lambda case, capture, chance: capture, usb, raw, packets, spoil_file)
 
 
 def run_dump(case, path, chance):
@@ -109,7 +109,7 @@ def run_dump(case, path, chance):
         options += ['--protocol', chance.choice(PROTOCOLS)]
     if chance.random() < 0.4:
         options += ['-w', f'{path}.again']
-    code, out = tool(dump, case, path, options, chance)
+    code, out = run_tool(dump, case, path, options, chance)
     if '--json' in options and '--stats' not in options and code == 0:
         *_, last = [{}, *map(json.loads, out.splitlines())]
         assert '--summary' not in options or last['bytes'] >= last['noise_bytes'] >= 0
@@ -119,19 +119,19 @@ def run_doctor(case, path, chance):
     options = chance.choice(([], ['--json'], ['--report', f'{path}.report']))
     sizes = 100, error_window.WINDOW_MAX_BYTES
     with patch.object(error_window, 'WINDOW_MAX_BYTES', chance.choice(sizes)):
-        code, out = tool(doctor, case, path, options, chance)
+        code, out = run_tool(doctor, case, path, options, chance)
     if '--json' in options and out:
         json.loads(out)
     if '--report' in options and Path(f'{path}.report').exists():
-        again, _ = tool(doctor, None, f'{path}.report', [], chance)
+        again, _ = run_tool(doctor, None, f'{path}.report', [], chance)
         assert again == code, (again, code)
-        text = wrong(Path(f'{path}.report').read_bytes(), chance)
+        text = damage_text(Path(f'{path}.report').read_bytes(), chance)
         Path(f'{path}.report').write_bytes(gzip.compress(text) if chance.random() < 0.2 else text)
-        tool(doctor, None, f'{path}.report', [], chance)
+        run_tool(doctor, None, f'{path}.report', [], chance)
         Path(f'{path}.report').unlink()
     if chance.random() < 0.1:              # it reads a large file
         text = ascii(case.names[0]) + chance.choice(('', 'no status packet', 'TxRxResult'))
-        tool(doctor, None, '', ['--explain', text], chance)
+        run_tool(doctor, None, '', ['--explain', text], chance)
 
 
 def run_replay(case, path, chance):
@@ -140,18 +140,19 @@ def run_replay(case, path, chance):
                 is_open=True, link=None, path='/dev/pts/9', master=nowhere.fileno(),
                 let_go=lambda: None, close=lambda: None)), patch.object(
             replay, 'time', SimpleNamespace(monotonic=lambda: 0.0, sleep=print_nothing)):
-        tool(replay, None, path, chance.choice((['--speed', '0'], ['--side', 'out'], [])), chance)
+        options = chance.choice((['--speed', '0'], ['--side', 'out'], []))
+        run_tool(replay, None, path, options, chance)
 
 
 def run_status(case, path, chance):
-    tool(status, None, path, ['--once', '--wait', '0.001', '--all'], chance)
+    run_tool(status, None, path, ['--once', '--wait', '0.001', '--all'], chance)
 
 
-def tool(module, case, path, options, chance):
+def run_tool(module, case, path, options, chance):
     """Run a tool on a file, or on a port where the case is heard; return its code and output."""
     def listener_on(*arguments, **more):
         fed = FedListener(*arguments, **more)
-        fed.after = lambda: [fed.hear(one, BOOT + at) for at, one in enumerate(case.heard)]
+        fed.after = lambda: [fed.hear_chunk(one, BOOT + at) for at, one in enumerate(case.heard)]
         fed.news = end
         return fed
 

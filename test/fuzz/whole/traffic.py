@@ -8,18 +8,29 @@ import random
 import re
 from typing import NamedTuple
 
+from fuzz.dxl1_classifier import dialogue
+from fuzz.instruction import make_params
+from fuzz.script import INSTRUCTIONS
+from fuzz.script import NOISE
+from fuzz.script import PIECES_1
+from fuzz.script import Script
+from fuzz.script import traffic
 from fuzz.script import TRICKY
-from msg_defs import dxl1_packet
+from msg_defs.dxl_instruction import parse
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import encode
+from msg_defs.dxl_packet import STATUS
 from msg_defs.event import Change
 from msg_defs.event import CHANGES
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
+from rigs.bus import frames
+from rigs.bus import frames1
 from rigs.bus.scenes import BROKEN
 from rigs.bus.scenes import HEALTHY
 from rigs.bus.scenes import PLAYED
+from rigs.damage import flip_bit
 from servobus.model.models import Models
 
 S = 1_000_000_000
@@ -35,20 +46,13 @@ NAMES = ('bus', 'left', 'a b', '\x1b[31mred', '#', '(', '-', 'tty\u00e9', '\u202
          "'; --", '%41', 'COM3', '\n', '=1+1')
 DEVICES = ((), (), (), ('1-6:XL430-W250',), ('1:MX-106:knee', '2-4'), ('1-6:STS3215',),
            ('1-4:AX-12A', '200'), ('1:XL-320:jaw',))
-# What instructions there are, more often than others; sizes at borders of the Length fields.
-CODES_2 = (1, 2, 2, 2, 3, 4, 5, 6, 8, 0x10, 0x20, 0x55, 0x82, 0x82, 0x83, 0x8A, 0x92, 0x93, 0x9A)
-CODES_1 = (1, 2, 2, 2, 3, 4, 5, 6, 8, 9, 10, 11, 0x55, 0x55, 0x55, 0x82, 0x83, 0x92, 0x93)
-SIZES = (0, 1, 2, 3, 4, 8, 15, 56, 128, 247, 250, 251, 252, 253, 255, 256, 300, 1018, 1023)
-ADDRESSES = (0, 3, 5, 7, 24, 30, 36, 40, 41, 42, 55, 56, 63, 64, 70, 116, 122, 132, 144, 168, 224,
-             600, 0x3FFF, 0xFFFF)
 KNOWN = tuple(map(Models().by_name, ('XL430-W250', 'AX-12A', 'STS3215')))
-REGISTERS = sorted({(field.at, field.size) for model in KNOWN for field in model.fields
-                    if 'Indirect' not in field.name})
 # Most findings need one of these from a servo whose model is known.
 JUDGED = ('Acceleration', 'Baud Rate', 'Bus Watchdog', 'Goal Position', 'Hardware Error Status',
           'Homing Offset', 'ID', 'Lock', 'Max Voltage Limit', 'Present Input Voltage',
           'Present Position', 'Present Temperature', 'Return Delay Time', 'Status Return Level',
           'Torque Enable')
+ERRORS = (0, 0, 0, 0, 1, 4, 7, 0x20, 0x80, 0x87)
 
 
 class Heard(NamedTuple):
@@ -70,6 +74,7 @@ class Case(NamedTuple):
     protocol: str
     devices: tuple[str, ...]
     heard: tuple[Heard, ...]
+    is_noise: bool                 # nothing is on these buses
 
 
 @cache
@@ -92,9 +97,12 @@ def case_of(seed):
     """Return the case of a seed."""
     chance = random.Random(seed)
     names = tuple(chance.sample(NAMES, chance.choice((1, 1, 1, 2))))
-    found, baud = [], chance.choice(BAUDS)
+    found, baud, is_noise = [], chance.choice(BAUDS), chance.random() < 0.1
     for _ in range(chance.choice((1, 1, 2, 3))):
-        if chance.random() < 0.5:
+        if is_noise:
+            found += [(chance.choice(PAUSES_NS[:5]), piece, IN)
+                      for piece in traffic(Script(chance.randbytes(3000)), NOISE)]
+        elif chance.random() < 0.5:
             more, rate = recorded((seed // CASES_OF_THEM * SCENES_AT_ONCE
                                    + chance.randrange(SCENES_AT_ONCE)) % len(SCENES))
             baud = rate if chance.random() < 0.9 else baud
@@ -118,8 +126,10 @@ def case_of(seed):
             after_ns, chance.randrange(len(names)) if chance.random() < rough else 0, data,
             side if has_sides else UNKNOWN,
             stamp=chance.choice(FAR) if chance.random() < far else None))
-    return Case(names, baud, chance.choice(PROTOCOLS), chance.choice(DEVICES),
-                tuple(_gathered(chance, heard)))
+    protocol, devices = chance.choice(PROTOCOLS), chance.choice(DEVICES)
+    if is_noise:
+        protocol, devices = 'auto', ()
+    return Case(names, baud, protocol, devices, tuple(_gathered(chance, heard)), is_noise)
 
 
 def _gathered(chance, heard):
@@ -158,87 +168,37 @@ def _setting(model, chance, ids):
     field = chance.choice([field for field in model.fields
                            if field.name in JUDGED and field.at < 256])    # one that is sent
     number, small = chance.choice((ids[0], *ids)), chance.choice((0, 1, 1, 1, 2, 10))
-    data = chance.choice((small.to_bytes(field.size, 'little'), _data(chance, field.size)))
+    data = chance.choice((small.to_bytes(field.size, 'little'), chance.randbytes(field.size)))
     return _read_write(model, number, field, data, chance.random() < 0.5)
 
 
 def _read_write(model, number, field, data, is_read):
     """Return a read or a write of a register, and its answer, which tells of no error."""
-    if model.protocol == '2':
-        pack, width, answer = encode, 2, encode(number, 0x55, data * is_read, 0)
-    else:
-        pack, width, answer = dxl1_packet.encode, 1, dxl1_packet.encode(number, 0, data * is_read)
-    rest = field.size.to_bytes(width, 'little') if is_read else data
-    return [(pack(number, 2 if is_read else 3, field.at.to_bytes(width, 'little') + rest), OUT),
-            (answer, IN)]
+    kind, answer = (frames, frames.status) if model.protocol == '2' else (
+        frames1, frames1.packet)
+    question = kind.read(number, field.at, field.size) if is_read else kind.write(
+        number, field.at, data)
+    return [(question, OUT), (answer(number, 0, data * is_read), IN)]
 
 
 def _exchange_2(chance, ids):
-    code = chance.choice(CODES_2) if chance.random() < 0.9 else chance.randrange(256)
-    number = _id(chance, ids, 256)
-    address, size = _where(chance)
-    where = address.to_bytes(2, 'little') + size.to_bytes(2, 'little')
-    data = _data(chance, min(size, 300))
-    params = {
-        1: b'', 2: where, 3: where[:2] + data, 4: where[:2] + data, 0x82: where + bytes(ids),
-        0x8A: where + bytes(ids), 0x83: where + b''.join(bytes([one]) + data for one in ids),
-        0x92: b''.join(bytes([one]) + where for one in ids),
-        0x9A: b''.join(bytes([one]) + where for one in ids),
-        0x93: b''.join(bytes([one]) + where + data for one in ids),
-    }.get(code, chance.choice((b'', b'\xff', b'\1DXL"', b'\2ERCL', b'\1CTRL', data[:8])))
-    if chance.random() < 0.1:
-        params = params[:chance.randrange(len(params) + 1)]
-    asked = ids if code in (0x82, 0x92) or number == BROADCAST else (number,)
-    answers = [(encode(one, 0x55, _answer(chance, code, size), _error(chance)), IN)
-               for one in asked if chance.random() < 0.85 and code not in (0x83, 0x93)]
-    return [(encode(number, code, params[:1000]), OUT), *answers]
+    """Return an instruction of about the right form, and answers of those it names."""
+    script = Script(chance.randbytes(400))
+    code, number = chance.choice(INSTRUCTIONS), chance.choice((*ids, BROADCAST))
+    params = make_params(script, code)[:1000]
+    asked = [(one.id, one.length) for one in parse(code, number, params).accesses]
+    answers = [(encode(one, STATUS, script.take_bytes(size), chance.choice(ERRORS)), IN)
+               for one, size in asked or [(one, 0) for one in ids] if chance.random() < 0.85]
+    return [(encode(number, code, params), OUT), *answers]
 
 
 def _exchange_1(chance, ids):
-    code = chance.choice(CODES_1) if chance.random() < 0.9 else chance.randrange(256)
-    number = _id(chance, ids, 255)
-    address, size = (one & 0xFF for one in _where(chance))
-    data = _data(chance, min(size, 80))
-    params = {
-        1: b'', 2: bytes((address, size)), 3: bytes([address]) + data, 4: bytes([address]) + data,
-        0x82: bytes((address, size, *ids)),
-        0x83: bytes((address, len(data))) + b''.join(bytes([one]) + data[:40] for one in ids),
-        0x92: b'\0' + b''.join(bytes((size, one, address)) for one in ids),
-    }.get(code, chance.choice((b'', b'\0\0', data[:8])))[:250]
-    if chance.random() < 0.2:
-        params = params[:chance.randrange(len(params) + 1)]
-    asked = ids if code in (0x82, 0x92) else (number,)
-    answers = [(dxl1_packet.encode(one, _error(chance), _answer(chance, code, size)[:250]), IN)
-               for one in asked if chance.random() < 0.8 and code != 0x83]
-    return [(dxl1_packet.encode(number, code, params), OUT), *answers]
-
-
-def _where(chance):
-    """Return address and size: of a register that servos have, or any."""
-    if chance.random() < 0.5:
-        return chance.choice(REGISTERS)
-    return chance.choice(ADDRESSES), chance.choice(SIZES)
-
-
-def _data(chance, size):
-    """Return bytes: a small number, as registers of settings hold, or any."""
-    if chance.random() < 0.5:
-        return chance.choice((0, 1, 1, 2, 7)).to_bytes(size, 'little') if size else b''
-    return chance.randbytes(size)
-
-
-def _id(chance, ids, end):
-    return chance.choice((*ids, ids[0], BROADCAST, chance.randrange(end)))
-
-
-def _answer(chance, code, size):
-    if chance.random() < 0.1:
-        return chance.randbytes(chance.randrange(12))
-    return _data(chance, min(size, 1000)) if code in (2, 0x82, 0x92) else b''
-
-
-def _error(chance):
-    return chance.choice((0, 0, 0, 0, 1, 4, 7, 0x20, 0x80, 0x87, chance.randrange(256)))
+    """Return a dialogue of the 1.0 family, or packets that make no sense."""
+    script = Script(chance.randbytes(100))
+    if chance.random() < 0.3:
+        return [(piece, chance.choice((IN, OUT))) for piece in traffic(script, PIECES_1)]
+    return [(one.wire, OUT if one.is_master else IN)
+            for one in dialogue(script, chance.choice(('1', 'feetech')))[chance.choice((0, 8)):]]
 
 
 def damaged(chance, data):
@@ -249,8 +209,7 @@ def damaged(chance, data):
         at += figure.start()
         return data[:at] + b'%d' % chance.randrange(10) + data[at + 1:]
     return chance.choice((
-        lambda: data[:at] + bytes([data[at] ^ 1 << chance.randrange(8)]) + data[at + 1:]
-        if at < len(data) else data[1:],
+        lambda: flip_bit(chance, data) if data else b'\0',
         lambda: data[:at], lambda: data[at:], lambda: data + data,
         lambda: data[:at] + chance.choice(TRICKY) + data[at:],
         lambda: data[:at] + chance.randbytes(chance.randrange(20)) + data[at:],

@@ -28,7 +28,6 @@ class Kind(NamedTuple):
     every_s: float = 0.0           # about how often; 0: never
     is_reader_stopped: bool = True     # in a pause; else it sees an idle line
     baud: int = 0                  # it listens at; 0: the bus's
-    drops: float = 0.0             # share of chunks that are lost
 
 
 FINE = Kind()
@@ -59,7 +58,7 @@ class Adapter:
             self._plan_pause(0)
         clock.at(IDLE, self._tick)
 
-    def take(self, heard):
+    def receive_bytes(self, heard):
         """Listen to the wire."""
         if not self._is_own_rate:
             heard = render(heard.talks, self._byte_ns)
@@ -69,11 +68,11 @@ class Adapter:
             self._held += heard.data           # one chunk with what is held
             return
         for end, byte in zip(heard.ends, heard.data, strict=True):
-            self._take_byte(end, byte)
+            self._receive_byte(end, byte)
         if not self._kind.gather_ms:
             self._deliver(self._clock.now)
 
-    def _take_byte(self, end, byte):
+    def _receive_byte(self, end, byte):
         """Take a byte; the adapter may have handed over what was before it, at its own time."""
         begin, over = self._pause
         if self._kind.every_s and end > over:
@@ -99,8 +98,6 @@ class Adapter:
             return
         data = bytes(self._held)
         self._held.clear()
-        if self._kind.drops and self._random.random() < self._kind.drops:
-            return
         self._told = max(stamp, self._told)
         self._hear(data, self._told)
 

@@ -93,24 +93,17 @@ def register(number, at_register, size, value, at=0.0):
     return _altering(at, lambda rig: rig.servos[number].put(at_register, size, value))
 
 
-def heating(number, top, at=2.0, seconds=12.0):
-    """Heat a servo; the fault counts from where it is near its limit."""
+def _ramped(attribute, first, number, last, at=2.0, seconds=12.0):
+    """Let an attribute of a servo go from one value to another; nine tenths of the way alter."""
     def fault(rig):
-        rig.servos[number].heat = _ramp(rig, 40.0, top, at, seconds)
+        rig.at(at + 0.9 * seconds, rig.alter)
+        setattr(rig.servos[number], attribute, lambda: first + (last - first) * min(1.0, max(
+            0.0, (rig.clock.now / S - at) / seconds)))
     return fault
 
 
-def _ramp(rig, first, last, at, seconds):
-    """Return a value that goes from one to the other in this time; nine tenths of it alter."""
-    rig.at(at + 0.9 * seconds, rig.alter)
-    return lambda: first + (last - first) * min(1.0, max(0.0, (rig.clock.now / S - at) / seconds))
-
-
-def sagging(number, low, at=2.0, seconds=12.0):
-    """Let the supply of a servo sink, as that of a battery at its end."""
-    def fault(rig):
-        rig.servos[number].volts = _ramp(rig, 12.0, low, at, seconds)
-    return fault
+heating = partial(_ramped, 'heat', 40.0)       # near its limit at the end
+sagging = partial(_ramped, 'volts', 12.0)      # as the supply from a battery that is nearly empty
 
 
 def supply(volts):
@@ -139,44 +132,26 @@ def spoiled(change, who, at):
 
 def spoil(change, share, *who, at=8.0):
     """Change a share of the packets of all, of 'servo' or of 'servo', 3."""
-    return spoiled(lambda rig, now, data: change(rig, data) if rig.random.random() < share
-                   else data, ''.join(f'{one} ' for one in who), at)
+    return spoiled(lambda rig, now, data: change(rig.random, data)
+                   if rig.random.random() < share else data, ''.join(f'{one} ' for one in who), at)
 
 
-def flip(rig, data):
-    """Turn over one bit somewhere."""
-    bit = rig.random.randrange(8 * len(data))
-    return data[:bit // 8] + bytes((data[bit // 8] ^ 1 << bit % 8,)) + data[bit // 8 + 1:]
-
-
-def garble(rig, data):
-    """Replace some bytes in the middle."""
-    at = rig.random.randrange(len(data))
-    size = rig.random.randint(1, 4)
-    return data[:at] + rig.random.randbytes(size) + data[at + size:]
-
-
-def cut(rig, data):
-    """Leave the end out."""
-    return data[:rig.random.randrange(1, len(data))]
-
-
-def first_byte(rig, data):
+def first_byte(random, data):
     """Damage the first byte, as a line that turns round too late."""
-    return bytes((rig.random.choice((0xFE, 0xFC, 0x7F, 0xF0)),)) + data[1:]
+    return bytes((random.choice((0xFE, 0xFC, 0x7F, 0xF0)),)) + data[1:]
 
 
-def lost_first(rig, data):
+def lost_first(random, data):
     """Leave the first byte out."""
     return data[1:]
 
 
-def stray(rig, data):
+def stray(random, data):
     """Put a byte in front that was never said."""
     return b'\0' + data
 
 
-def acknowledgement(rig, data):
+def acknowledgement(random, data):
     """Leave out a status without data."""
     return data if len(data) > 11 else b''
 
@@ -211,31 +186,32 @@ def second_master(master, ids, at=6.0, **options):
     return fault
 
 
-def elsewhere(number, at=8.0, rate=20.0):
+def _repeated(do, at, period):
+    """Do something that changes the bytes again and again."""
+    def fault(rig):
+        def turn():
+            do(rig)
+            rig.alter()
+            rig.at(rig.clock.now / S + period + rig.random.random() / 300, turn)
+        rig.at(at, turn)
+    return fault
+
+
+def elsewhere(number, at=8.0):
     """Let a master that this line does not hear ask a servo that it hears."""
-    def fault(rig):
-        one = rig.servos[number]
-
-        def ask():
-            data = bytes(one.table[reg.PLACE:reg.PLACE + 4])
-            rig.wire.talk(f'servo {number}', frames.status(number, 0, data))
-            rig.alter()
-            rig.at(rig.clock.now / S + 1 / rate + rig.random.random() / 300, ask)
-        rig.at(at, ask)
-    return fault
+    def answer(rig):
+        data = bytes(rig.servos[number].table[reg.PLACE:reg.PLACE + 4])
+        rig.wire.talk(f'servo {number}', frames.status(number, 0, data))
+    return _repeated(answer, at, 0.05)
 
 
-def protocol_1(number=9, at=6.0, rate=10.0):
+def protocol_1(at=6.0):
     """Ask a device of Protocol 1.0, and let it answer (e-Manual, Protocol 1.0)."""
-    def fault(rig):
-        def ask():
-            rig.wire.talk('master 0', frames1.read(number, 36, 2))
-            answer = frames1.packet(number, 0, b'\0\2')
-            rig.at(rig.clock.now / S + 0.0003, lambda: rig.wire.talk('servo 9', answer))
-            rig.at(rig.clock.now / S + 1 / rate, ask)
-            rig.alter()
-        rig.at(at, ask)
-    return fault
+    def ask(rig):
+        rig.wire.talk('master 0', frames1.read(9, 36, 2))
+        rig.at(rig.clock.now / S + 0.0003, lambda: rig.wire.talk(
+            'servo 9', frames1.packet(9, 0, b'\0\2')))
+    return _repeated(ask, at, 0.1)
 
 
 def wait_less(ms, at=8.0):

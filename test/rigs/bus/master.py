@@ -54,7 +54,6 @@ class Port:
         self.wait_ms = wait_ms
         self.form = form
         self.is_stopped = False
-        self.is_deaf = False           # its receive path is dead
         self.slow_ms = lambda: 0.0      # its computer is busy, each time
         self.input = bytearray()
         self._sent = 0                 # when the output queue is empty
@@ -104,7 +103,7 @@ class Port:
             self.wire.talk(self.name, data)
 
     def _hear(self, heard):
-        if self.is_deaf or all(talk.who == self.name for talk in heard.talks):
+        if all(talk.who == self.name for talk in heard.talks):
             return                     # the adapter does not listen while it talks
         if not self._held:
             self.clock.at(self.now + round(self.latency_ms * MS), self._deliver)

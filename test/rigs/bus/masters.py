@@ -9,6 +9,7 @@ bitbots_ros_control with its dynamixel_workbench (Sync Read of 126, 144 and 70),
 bus: handshake, calibration, one try, torque off at the end), a Wizard-like scan, a first program.
 """
 
+from itertools import product
 from math import sin
 
 from rigs.bus import frames
@@ -29,27 +30,20 @@ def goals(port, ids, at=reg.GOAL, size=4):
     return Say(port.form.sync_write(at, size, [(one, goal(port, one)[:size]) for one in ids]))
 
 
-def sdk_loop(port, ids, *, rate=100.0, address=reg.PLACE, size=4, torque=True, retries=0):
-    """Group read, then group write, as the examples of the SDK do: the usual loop."""
+def sdk_loop(port, ids, *, rate=100.0, address=reg.PLACE, size=4, goal_at=reg.GOAL, goal_size=4,
+             torque=True, retries=0):
+    """Group read, then group write, as the examples of the SDK do; rate 0: without a pause."""
     for number in ids if torque else ():
         yield from port.write(number, reg.TORQUE, b'\1')
-    turns = port.turns(rate)
+    turns = port.turns(rate) if rate else None
     while True:
         for _ in range(retries + 1):
             found = yield from port.sync_read(ids, address, size)
             if len(found) == len(ids):
                 break
-        yield goals(port, ids)
-        yield next(turns)
-
-
-def unpaced(port, ids):
-    """Run the same loop without a pause: as fast as answers come."""
-    for number in ids:
-        yield from port.write(number, reg.TORQUE, b'\1')
-    while True:
-        yield from port.sync_read(ids, reg.PLACE, 4)
-        yield goals(port, ids)
+        yield goals(port, ids, goal_at, goal_size)
+        if turns:
+            yield next(turns)
 
 
 def hardware_interface(port, ids, *, rate=100.0, fast=True, pings=True, volts=True):
@@ -110,16 +104,19 @@ def lerobot(port, ids, *, rate=30.0, gives_up=True):
     for number in ids:
         yield from port.write(number, reg.MODE, b'\3')
         yield from port.write(number, reg.TORQUE, b'\1')
+    yield from lerobot_loop(port, ids, rate, gives_up, (reg.PLACE, 4), (reg.GOAL, 4),
+                            (reg.TORQUE,))
+
+
+def lerobot_loop(port, ids, rate, gives_up, place, goal_register, switches):
+    """Try each group read once; a failure ends the loop and switches the torque off."""
     turns = port.turns(rate)
-    while True:
-        found = yield from port.sync_read(ids, reg.PLACE, 4)
-        if len(found) < len(ids) and gives_up:
-            break
-        yield goals(port, ids)
+    while len((yield from port.sync_read(ids, *place))) == len(ids) or not gives_up:
+        yield goals(port, ids, *goal_register)
         yield next(turns)
-    for number in ids:
+    for number, at in product(ids, switches):
         for _ in range(6):
-            if (yield from port.write(number, reg.TORQUE, b'\0')):
+            if (yield from port.write(number, at, b'\0')):
                 break
 
 

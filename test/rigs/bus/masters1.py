@@ -18,6 +18,7 @@ from rigs.bus.master import Sleep
 from rigs.bus.masters import beginner
 from rigs.bus.masters import goal
 from rigs.bus.masters import goals
+from rigs.bus.masters import lerobot_loop
 
 
 def lerobot_feetech(port, ids, *, rate=30.0, gives_up=True, firmware=False):
@@ -31,18 +32,7 @@ def lerobot_feetech(port, ids, *, rate=30.0, gives_up=True, firmware=False):
     for number in ids:
         for at, value in ((40, 0), (55, 0), (7, 0), (85, 254), (41, 254), (40, 1), (55, 1)):
             yield from port.write(number, at, bytes((value,)))
-    turns = port.turns(rate)
-    while True:
-        found = yield from port.sync_read(ids, 56, 2)
-        if len(found) < len(ids) and gives_up:
-            break
-        yield goals(port, ids, 42, 2)
-        yield next(turns)
-    for number in ids:
-        for at in (40, 55):
-            for _ in range(6):
-                if (yield from port.write(number, at, b'\0')):
-                    break
+    yield from lerobot_loop(port, ids, rate, gives_up, (56, 2), (42, 2), (40, 55))
 
 
 def check(port, ids):
@@ -104,14 +94,4 @@ def hexapod(port, ids, *, rate=40.0):
         yield Sleep(port.now + 5 * MS)
         yield from port.read(number, 36, 2)
         turn += 1
-        yield next(turns)
-
-
-def duck(port, ids, *, rate=50.0):
-    """Read positions and speeds of all, write goals, fifty times a second; it goes on."""
-    turns = port.turns(rate)
-    while True:
-        yield from port.sync_read(ids, 56, 2)
-        yield from port.sync_read(ids, 58, 2)
-        yield goals(port, ids, 42, 2)
         yield next(turns)

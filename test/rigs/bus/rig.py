@@ -44,7 +44,7 @@ class Rig:
 
     def listen(self, kind, hear, idle):
         adapter = Adapter(self.clock, self.wire.baud, kind, self.random, hear, idle)
-        self.wire.listeners.append(adapter.take)
+        self.wire.listeners.append(adapter.receive_bytes)
         return adapter
 
     def at(self, seconds, do):

@@ -10,6 +10,7 @@ import shlex
 
 import yaml
 
+from rigs import damage
 from rigs.bus import adapter
 from rigs.bus import faults
 from rigs.bus import masters
@@ -23,8 +24,8 @@ from rigs.bus.scene import Scene
 PROGRAMS = vars(masters) | vars(masters1)
 EQUIPMENT = {name: one for module in (adapter, servo, servo1) for name, one in vars(module).items()
              if name.isupper()} | {one.__name__: one for one in (
-                 faults.flip, faults.garble, faults.cut, faults.first_byte, faults.lost_first,
-                 faults.stray, faults.acknowledgement)}
+                 damage.flip_bit, damage.replace_bytes, damage.cut_end, faults.first_byte,
+                 faults.lost_first, faults.stray, faults.acknowledgement)}
 
 
 def value(word):

@@ -36,23 +36,21 @@ _MODELS = Models()
 class Result(NamedTuple):
     """What was said of a scene; after_s: when the expected was first, None if it never was."""
 
-    name: str
     expected: tuple[Key, ...]
     verdict: str
     told: tuple[Key, ...]              # at the end, the worst first
     false: tuple[tuple[float, Key], ...]   # when it was said first, what
     after_s: float | None
-    doubts: tuple[str, ...]            # what the doctor cannot tell, at the end
 
 
-def reports(scene, rig):
+def reports(scene, rig, seconds=SECONDS):
     """Yield the reports, two per second, each with the seconds since the fault showed."""
     monitor = Monitor('bus', _MODELS, Settings(
         baud=scene.adapter.baud or scene.baud, devices=tuple(parse_all(list(scene.devices)))),
         idle_is_told=True)
     rig.listen(scene.adapter, lambda data, stamp: monitor.feed(data, BOOT + stamp),
                lambda now: monitor.flush_if_idle(BOOT + now))
-    for number in range(1, int(SECONDS * S) // REPORT_NS + 1):
+    for number in range(1, int(seconds * S) // REPORT_NS + 1):
         rig.clock.run(number * REPORT_NS)
         since = None if rig.altered is None else (rig.clock.now - rig.altered) / S
         yield monitor.report(BOOT + rig.clock.now), since
@@ -70,18 +68,16 @@ def compare(scene, rig, told_of_it, begin):
     false = {}
     after = None
     told = ()
-    doubts = ()
     for report, since in told_of_it:
         told = tuple((one.rule, one.device) for one in report.findings)
-        doubts = tuple(one.rule for one in report.doubts)
         for key in _accused(report, scene, true):
             false.setdefault(key, (report.stamp - begin) / S)
         if after is None and since is not None and told and told[0] in scene.expected:
             after = since
     if not scene.expected:
         false.update(_misses(report, rig))
-    return Result(scene.name, scene.expected, verdict_of(scene, told, bool(false)), told,
-                  tuple((when, key) for key, when in false.items()), after, doubts)
+    return Result(scene.expected, verdict_of(scene, told, bool(false)), told,
+                  tuple((when, key) for key, when in false.items()), after)
 
 
 def _accused(report, scene, true):

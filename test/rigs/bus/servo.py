@@ -55,9 +55,9 @@ class AnyServo:
         self.table = bytearray(size)
         self._at = 2048.0
         self._moved = 0
-        wire.listeners.append(self.hear)
+        wire.listeners.append(self.hear_packets)
 
-    def hear(self, heard):
+    def hear_packets(self, heard):
         raise NotImplementedError
 
     def put(self, at, size, value):
@@ -101,7 +101,6 @@ class Servo(AnyServo):
         self.in_line = in_line         # in a Sync Read it waits for the one before it for ever
         self.is_deaf = False           # hears nothing, as behind a broken wire
         self.wrong_size = 0            # bytes that its answers have too many
-        self.answers_only_pings = False
         self.heat = lambda: 35.0
         self._turn = None
         self._born = 0
@@ -185,7 +184,7 @@ class Servo(AnyServo):
 
     # --- hearing ---------------------------------------------------------------------------
 
-    def hear(self, heard):
+    def hear_packets(self, heard):
         """Take what was on the wire: instructions, and the statuses of those before it."""
         is_at_rate = BAUD_CODES[self.table[BAUD]] == self.wire.baud
         if not self.is_on or self.is_deaf or not is_at_rate:
@@ -264,9 +263,7 @@ class Servo(AnyServo):
     def _answer(self, error, data=b'', *, level=1, always=False, later=0):
         """Say a status, after the Return Delay Time (2 us units) and what the firmware takes."""
         self.asked += 1
-        if not always and (self.table[LEVEL] < level or self.answers_only_pings):
-            if self.answers_only_pings:
-                self.changed()
+        if not always and self.table[LEVEL] < level:
             return
         if self.loses():
             self.changed()

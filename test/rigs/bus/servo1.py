@@ -72,7 +72,7 @@ class Servo1(AnyServo):
 
     # --- hearing: a status looks like an instruction, so who talks tells ------------------------
 
-    def hear(self, heard):
+    def hear_packets(self, heard):
         """Take what was on the wire."""
         if not self.is_on:
             return

@@ -58,7 +58,6 @@ class Heard(NamedTuple):
     data: bytes
     ends: Sequence[int]            # when each byte is over
     talks: tuple[Talk, ...]        # who made it
-    is_clean: bool                 # one talker at the line's rate
 
     @property
     def end(self):
@@ -105,9 +104,9 @@ def render(talks, byte_ns):
         data = b''.join(talk.data for talk in talks)
         ends = [talk.start + round((i + 1) * byte_ns) for talk in talks
                 for i in range(len(talk.data))]
-        return Heard(data, ends, talks, len(talks) == 1)
+        return Heard(data, ends, talks)
     found = sample(_lows(talks), byte_ns / BITS)
-    return Heard(bytes(byte for byte, _ in found), [end for _, end in found], talks, False)
+    return Heard(bytes(byte for byte, _ in found), [end for _, end in found], talks)
 
 
 def _lows(talks):

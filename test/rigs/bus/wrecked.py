@@ -7,6 +7,7 @@ from functools import partial
 from random import Random
 from typing import NamedTuple
 
+from rigs import damage
 from rigs.bus import faults as f
 from rigs.bus import masters as m
 from rigs.bus import uart
@@ -71,9 +72,9 @@ KINDS = (
     Kind('two with one ID, same delay', (SPEAKERS,), lambda random: (f.twin(3, AT),)),
     Kind('two with one ID, delays apart', (SPEAKERS,), _twin_apart),
     Kind('bytes replaced by others', (), lambda random: (
-        f.spoil(f.garble, random.uniform(0.05, 0.2), SERVOS, at=AT),)),
+        f.spoil(damage.replace_bytes, random.uniform(0.05, 0.2), SERVOS, at=AT),)),
     Kind('answers cut off', (), lambda random: (
-        f.spoil(f.cut, random.uniform(0.05, 0.2), SERVOS, 3, at=AT),)),
+        f.spoil(damage.cut_end, random.uniform(0.05, 0.2), SERVOS, 3, at=AT),)),
 )
 PROGRAMS = (
     ('item by item', partial(m.poller, rate=10.0, torque=True)),

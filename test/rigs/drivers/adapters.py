@@ -49,23 +49,22 @@ class Adapter:
 
 
 class Ftdi(Adapter):
-    """An FTDI adapter on USB; name: for QEMU, where two have one serial number."""
+    """An FTDI adapter on USB."""
 
     driver = 'ftdi_sio'
 
-    def __init__(self, guest, fake, *, gather, serial='FT4TFSGE', name=''):
+    def __init__(self, guest, fake, *, gather, serial='FT4TFSGE'):
         super().__init__(guest, fake, gather=gather)
         self._serial = serial
-        self._name = name or serial
         self.path = f'/dev/serial/by-id/usb-QEMU_QEMU_USB_SERIAL_{serial}-if00-port0'
 
     def plug(self):
-        self._connect(self._guest.plug(self._name, serial=self._serial))
+        self._connect(self._guest.plug(self._serial, serial=self._serial))
         self._wait_node()
 
     def unplug(self):
         self._disconnect()
-        self._guest.unplug(self._name)
+        self._guest.unplug(self._serial)
 
 
 class Uart(Adapter):

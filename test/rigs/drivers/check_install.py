@@ -9,26 +9,20 @@ from __future__ import annotations
 
 import pytest
 
-from mecarover_fakes.fake_bus import make_devices
-from mecarover_fakes.fake_port import FakeBus
-from mecarover_fakes.line import Line
-from mecarover_fakes.master import Master
-from mecarover_fakes.traffic import PATTERNS
 from rigs.drivers.adapters import Ftdi
 from rigs.drivers.guest import INSIDE
 from rigs.drivers.guest import SOURCE
 from rigs.drivers.guest import Unit
 from rigs.drivers.guest import WITHOUT_ROS
 from rigs.drivers.image import VENV
+from rigs.drivers.lead import bus_of
 from rigs.drivers.lead import Lead
 from rigs.drivers.lead import Mcu
-from servobus.model.models import Models
 
 TTY = 'ttyS1'
 GETTY = f'serial-getty@{TTY}'
 SERIAL = 'FT9INST'
 INSTALLER = f'python3 {SOURCE}/deploy/install.py --prefix {VENV}'
-BAUD = 2_000_000
 SERVICES = ('vel2d_bridge', 'dxl_monitor', 'dxl_dashboard')
 OPEN = {'vel2d_bridge': '/dev/mecarover_mcu: open', 'dxl_monitor': '/dev/mecarover_dxl: open'}
 # Where the processor is emulated a node starts in a minute, and the dead man is slow, too.
@@ -52,12 +46,10 @@ while True:
 @pytest.fixture(scope='module')
 def bus(guest):
     """Plug an adapter in; three devices answer a master at its far end, once in a second."""
-    devices = make_devices(['1-3:MX-64'], Models(), BAUD)
-    fake = FakeBus(Master(Line(devices, BAUD), PATTERNS['moving'], rate=1.0))
-    fake.start()
-    with Ftdi(guest, fake.path, gather=False, serial=SERIAL) as adapter:
+    with bus_of('1-3:MX-64', rate=1.0) as fake, Ftdi(
+            guest, fake.path, gather=False, serial=SERIAL) as adapter:
+        fake.start()
         yield adapter
-    fake.stop()
 
 
 @pytest.fixture(scope='module')

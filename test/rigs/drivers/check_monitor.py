@@ -3,38 +3,21 @@
 """A bus is heard on adapters of its own: all of it, and the right one in each place."""
 from __future__ import annotations
 
-from contextlib import contextmanager
 from contextlib import ExitStack
 import json
 import time
 
 import pytest
 
-from mecarover_fakes.fake_bus import make_devices
-from mecarover_fakes.fake_port import FakeBus
-from mecarover_fakes.line import Line
-from mecarover_fakes.master import Master
-from mecarover_fakes.traffic import PATTERNS
 from rigs.drivers.adapters import Acm
 from rigs.drivers.adapters import Ftdi
-from servobus.model.models import Models
+from rigs.drivers.lead import bus_of
 
-BAUD = 2_000_000
 SECONDS = 10.0
 CYCLES_PER_S = 25.0             # an emulated processor reads no full bus of this rate
 FEW_CYCLES_PER_S = 2.0
 SETTLE_S = 2.0                  # for what is on its way when the bus falls silent
 START_S = 200.0
-
-
-@contextmanager
-def bus_of(devices, rate):
-    bus = FakeBus(Master(Line(make_devices([devices], Models(), BAUD), BAUD),
-                         PATTERNS['moving'], rate=rate))
-    try:
-        yield bus
-    finally:
-        bus.stop()
 
 
 def listen(guest, port, *options):
@@ -93,23 +76,4 @@ def test_two_adapters_that_change_places_stay_the_bus_that_they_are(guest):
             guest.until(lambda dump=dump, length=length: len(dump.log()) > length + 2000)
         assert [heard_ids(dump) for dump in dumps] == [{1, 2, 3}, {11, 12, 13}]
         for dump in dumps:
-            dump.stop()
-
-
-def test_two_adapters_with_one_serial_number_are_told_apart_by_their_sockets(guest):
-    sockets = '/dev/serial/by-path'
-    with ExitStack() as stack:
-        buses = [stack.enter_context(bus_of(devices, FEW_CYCLES_PER_S))
-                 for devices in ('1-3:MX-64', '11-13:MX-64')]
-        places = []
-        for bus, name in zip(buses, ('first', 'second'), strict=True):
-            stack.enter_context(Ftdi(guest, bus.path, gather=False, serial='FTSAME', name=name))
-            guest.wait(f'[ $(ls {sockets} | grep -c -- -usb-) = {len(places) + 1} ]')
-            [place] = set(guest.run(f'ls {sockets} | grep -- -usb-').out.split()) - set(places)
-            places.append(place)
-        dumps = [listen(guest, f'{sockets}/{place}', '--json') for place in places]
-        for bus in buses:
-            bus.start()
-        for dump, wanted in zip(dumps, ({1, 2, 3}, {11, 12, 13}), strict=True):
-            guest.until(lambda dump=dump, wanted=wanted: heard_ids(dump) == wanted)
             dump.stop()

@@ -7,19 +7,13 @@ import json
 
 import pytest
 
-from mecarover_fakes.fake_bus import make_devices
-from mecarover_fakes.fake_port import FakeBus
-from mecarover_fakes.line import Line
-from mecarover_fakes.master import Master
-from mecarover_fakes.traffic import none
 from rigs.drivers.adapters import Acm
 from rigs.drivers.adapters import Ftdi
 from rigs.drivers.adapters import KINDS
 from rigs.drivers.guest import SOURCE
 from rigs.drivers.image import VENV
-from servobus.model.models import Models
+from rigs.drivers.lead import bus_of
 
-BAUD = 1_000_000
 TAP = 'arm'
 INSTALLER = f'python3 {SOURCE}/deploy/install.py --prefix {VENV}'
 MASTER = """
@@ -41,11 +35,9 @@ SAID = [part for servo in (1, 2, 3) for part in (
 
 @pytest.fixture
 def bus():
-    devices = make_devices(['1-3:MX-106'], Models(), BAUD, moving=False)
-    bus = FakeBus(Master(Line(devices, BAUD), none))
-    bus.start()
-    yield bus
-    bus.stop()
+    with bus_of('1-3:MX-106', baud=1_000_000) as bus:
+        bus.start()
+        yield bus
 
 
 def test_the_installer_lets_the_service_alone_read_usbmon_and_takes_that_back(guest, bus):

@@ -1,8 +1,9 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""The lead between an adapter in the guest and a fake on this machine, and a fake MCU for it."""
+"""The lead between an adapter in the guest and a fake on this machine, and the fakes for it."""
 from __future__ import annotations
 
+from contextlib import contextmanager
 from contextlib import suppress
 import os
 import select
@@ -11,8 +12,15 @@ import threading
 import time
 import tty
 
+from mecarover_fakes.fake_bus import make_devices
+from mecarover_fakes.fake_port import FakeBus
+from mecarover_fakes.line import Line
+from mecarover_fakes.master import Master
+from mecarover_fakes.traffic import none
+from mecarover_fakes.traffic import PATTERNS
 from msg_defs.vel2d import FRAME_SIZE
 from rigs.running_mcu import RunningMcu
+from servobus.model.models import Models
 
 READ_SIZE = 65_536
 IDLE_S = 0.004          # a UART is silent for so long behind a frame only
@@ -87,6 +95,17 @@ class Lead:
             self._adapter.setblocking(True)
             self._adapter.sendall(chunk)
             self._adapter.setblocking(False)
+
+
+@contextmanager
+def bus_of(devices, baud=2_000_000, rate=0.0):
+    """Return a bus to be started; rate: cycles a second of its own master, 0: it has none."""
+    line = Line(make_devices([devices], Models(), baud, moving=bool(rate)), baud)
+    bus = FakeBus(Master(line, PATTERNS['moving'], rate=rate) if rate else Master(line, none))
+    try:
+        yield bus
+    finally:
+        bus.stop()
 
 
 class Mcu(RunningMcu):

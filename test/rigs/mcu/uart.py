@@ -3,7 +3,11 @@
 """A cable to a UART: the speed of the line, and what can happen to each frame on it."""
 import time
 
+from rigs.bus.wire import render
+from rigs.bus.wire import Talk
 from rigs.cable import Cable
+from rigs.damage import flip_bit
+from rigs.damage import lose_byte
 
 CHARACTER_S = 10 / 115200
 SLICE = 4                           # bytes that arrive together
@@ -11,35 +15,12 @@ PAUSE_S = 0.008                     # between the pieces of a frame
 
 
 def at_rate(error):
-    """Let the clock of the receiver be wrong by a share: it samples each bit in its middle."""
-    def heard(_, frame):
-        bits = [1]
-        for byte in frame:
-            bits += [0, *(byte >> place & 1 for place in range(8)), 1]
-        found, at, last = bytearray(), 1, len(bits)
-        bits += [1] * 12
-        while at < last:
-            if bits[at - 1] <= bits[at]:
-                at += 1             # no edge of a start bit
-                continue
-            byte = [bits[int(at + (place + 0.5) * (1 + error))] for place in range(10)]
-            if byte[9]:             # else a framing error
-                found.append(sum(bit << place for place, bit in enumerate(byte[1:9])))
-            at += int(9.5 * (1 + error))
-        return [bytes(found)]
-    return heard
+    """Let the clock of the receiver be wrong by a share."""
+    return lambda _, frame: [render((Talk(0, frame, 1.0),), 1 + error).data]
 
 
 def lost(chance, frame):
-    """Lose a byte."""
-    at = chance.randrange(len(frame))
-    return [frame[:at] + frame[at + 1:]]
-
-
-def turned(chance, frame):
-    """Turn a bit."""
-    bit = chance.randrange(8 * len(frame))
-    return [(int.from_bytes(frame, 'little') ^ 1 << bit).to_bytes(len(frame), 'little')]
+    return [lose_byte(chance, frame)]
 
 
 def whole(_, frame):
@@ -54,7 +35,8 @@ FAULTS = {
     'flood': lambda chance, frame: [chance.randbytes(380)],         # all that the line carries
     'half frames': lambda chance, frame: [frame[:chance.randrange(28)]],
     'a pause in each frame': lambda chance, frame: [frame[:14], frame[14:]],
-    'a byte of each frame lost': lost, 'a bit of each frame turned': turned,
+    'a byte of each frame lost': lost,
+    'a bit of each frame turned': lambda chance, frame: [flip_bit(chance, frame)],
     'baud rate 6 % off': at_rate(0.06)}
 HARMLESS = {
     'none': (whole, 0.8), 'baud rate 2 % off': (at_rate(0.02), 0.8),

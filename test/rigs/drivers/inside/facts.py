@@ -7,7 +7,6 @@ usage: facts.py PORT       nothing else may have it open
 """
 import json
 import os
-from pathlib import Path
 import sys
 import termios
 import time
@@ -31,12 +30,12 @@ def main(path):
     while time.monotonic() < deadline:
         most = max(most, port.pending())
     errors = line_errors(fd)
+    set_low_latency(fd)
     facts = {
         'hupcl': bool(termios.tcgetattr(fd)[2] & termios.HUPCL),
         'written': written, 'pending at most': most, 'pending after 1 s': port.pending(),
         'line errors': None if errors is None else sum(errors),
-        'low latency': set_low_latency(fd), 'second': second(path),
-        'latency timer': timer(path),
+        'second': second(path),
         'read only': read_only(path, port.close)}
     print(json.dumps(facts))
 
@@ -48,11 +47,6 @@ def second(path):
     except OSError as error:
         return error.strerror or ''
     return 'opened'
-
-
-def timer(path):
-    file = Path('/sys/class/tty', os.path.basename(os.path.realpath(path)), 'device/latency_timer')
-    return file.read_text().strip() if file.exists() else ''
 
 
 def read_only(path, close):
