@@ -25,12 +25,12 @@ from servobus.bus.report import Incident
 from servobus.bus.report import PROTOCOL_2
 from servobus.bus.report import Wait
 from servobus.bus.table import Observed
-from servobus.doctor.bits import GROUP_READS
-from servobus.doctor.bits import laid_over
-from servobus.doctor.bits import NOISE_MAX_BITS
-from servobus.doctor.bits import packet_of
-from servobus.doctor.bits import TWO_SENDERS
-from servobus.doctor.bits import wrong_bits
+from servobus.doctor.bit_errors import count_overlaid
+from servobus.doctor.bit_errors import GROUP_READS
+from servobus.doctor.bit_errors import NOISE_MAX_BITS
+from servobus.doctor.bit_errors import packet_of
+from servobus.doctor.bit_errors import TWO_SENDERS
+from servobus.doctor.bit_errors import wrong_bits
 from servobus.doctor.case import Case
 from servobus.doctor.thresholds import INCIDENTS_MIN
 from servobus.doctor.thresholds import PROGRAM_RATES_MAX
@@ -114,10 +114,10 @@ def is_off(torque: Observed | None) -> bool:
 
 # --- the question on which a program ended -------------------------------------------------------
 
-def ended_on(case: Case) -> Wait | None:
+def fatal_wait(case: Case) -> Wait | None:
     """Return the vain wait on which a program ended with an error, None if that is unknown."""
     last = case.last_wait
-    if not case.report.failed or last is None or last.is_spoilt or read_late(case):
+    if not case.report.failed or last is None or last.is_spoilt or fatal_late_answer(case):
         return None
     if case.report.failed == words.RAISED:
         return last
@@ -132,7 +132,7 @@ def ended_on(case: Case) -> Wait | None:
     return None if len(alike) > 1 and alike[0] < case.now - answered * NS_PER_S else last
 
 
-def read_late(case: Case) -> Incident[ev.Lateness] | None:
+def fatal_late_answer(case: Case) -> Incident[ev.Lateness] | None:
     """Return the late answer that a program got for its last question, on which it ended."""
     last = case.last_wait
     asked = [one.stamp - 1000 * one.detail.us for one in case.incidents(ev.LEFT_OPEN)] \
@@ -153,7 +153,7 @@ def may_overlap(case: Case) -> bool:
         return True
     # Where the sides are known, it would have been seen that somebody did not wait.
     return not case.report.has_sides \
-        and case.looks_like().get('looks like', '').startswith(TWO_SENDERS)
+        and case.damage_picture().get('looks like', '').startswith(TWO_SENDERS)
 
 
 @lru_cache(maxsize=1)              # several rules ask it of one case
@@ -164,7 +164,7 @@ def is_collision(case: Case) -> bool:
     Two loops repeat one instruction, and a question was laid over something; or questions are in
     the noise with bits lost and none added; or damaged instructions of Protocol 2.0 are.
     """
-    if laid_over_answers(case) or (
+    if is_overlaid(case) or (
             case.clocks and case.damage >= INCIDENTS_MIN and ran_into_answers(case)):
         return True
     if case.report.protocol != PROTOCOL_2:
@@ -215,6 +215,6 @@ def ran_into_answers(case: Case) -> int:
     return found
 
 
-def laid_over_answers(case: Case) -> bool:
+def is_overlaid(case: Case) -> bool:
     """Tell whether questions were wholly inside something else, as far as the last noise."""
-    return case.damage >= INCIDENTS_MIN and laid_over(case.report) >= INCIDENTS_MIN
+    return case.damage >= INCIDENTS_MIN and count_overlaid(case.report) >= INCIDENTS_MIN

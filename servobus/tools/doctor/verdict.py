@@ -19,7 +19,7 @@ from msg_defs.reports import Level
 from servobus.bus.report import CONNECTED
 from servobus.bus.report import DeviceReport
 from servobus.doctor.finding_log import BusSummary
-from servobus.doctor.finding_log import Logged
+from servobus.doctor.finding_log import LoggedFinding
 from servobus.doctor.finding_log import NEEDS_TIMES
 from servobus.doctor.states import LISTED_AS
 from servobus.doctor.thresholds import PROGRAM_RATES_MAX
@@ -183,16 +183,16 @@ def _is_slight(device: DeviceReport) -> bool:
     return device.state == CONNECTED and device.level is Level.WARN
 
 
-def _alike(logged: Sequence[Logged]) -> list[list[Logged]]:
+def _alike(logged: Sequence[LoggedFinding]) -> list[list[LoggedFinding]]:
     """Return findings of several devices that say the same together, the others alone."""
-    groups: dict[tuple[str, Level, str, bool], list[Logged]] = {}
+    groups: dict[tuple[str, Level, str, bool], list[LoggedFinding]] = {}
     for one in logged:
         said = one.finding
         groups.setdefault((said.rule, said.level, said.message, one.stands), []).append(one)
     return list(groups.values())
 
 
-def _entry(bus: BusSummary, alike: Sequence[Logged]) -> Trouble:
+def _entry(bus: BusSummary, alike: Sequence[LoggedFinding]) -> Trouble:
     first = alike[0].finding
     who = bus.who(first.device)
     if len(alike) > 1:
@@ -203,7 +203,7 @@ def _entry(bus: BusSummary, alike: Sequence[Logged]) -> Trouble:
     return Trouble(first.level, who, first.rule, printable(first.message), _evidence(alike[0]))
 
 
-def _evidence(one: Logged) -> str:
+def _evidence(one: LoggedFinding) -> str:
     """Return the figures of a finding, and its time, as one sentence."""
     figures = [f'{key} {value}' for key, value in one.finding.evidence]
     when = f'seen from {one.first_s:.1f} to {one.last_s:.1f} s, not since' if not one.stands \
@@ -223,7 +223,7 @@ def as_json(said: Verdict, buses: Sequence[BusSummary], seconds: float) -> dict[
             'findings': [_finding_json(one, bus) for one in bus.logged]} for bus in buses]}
 
 
-def _finding_json(one: Logged, bus: BusSummary) -> dict[str, Any]:
+def _finding_json(one: LoggedFinding, bus: BusSummary) -> dict[str, Any]:
     finding = one.finding
     return {**finding_data(finding), 'who': bus.who(finding.device),
             'first_s': round(one.first_s, 3), 'last_s': round(one.last_s, 3), 'stands': one.stands,
