@@ -33,12 +33,12 @@ from servobus.doctor.bit_errors import TWO_SENDERS
 from servobus.doctor.bit_errors import wrong_bits
 from servobus.doctor.case import Case
 from servobus.doctor.thresholds import INCIDENTS_MIN
-from servobus.doctor.thresholds import PROGRAM_RATES_MAX
 
 LOST_BITS_MIN_SHARE = 0.3          # share of damaged instructions; bits turned over by chance: 0.1
 TAIL_BYTES = 6                     # the CRC is among them, so they are not there by chance
 ALIVE_MIN_VOLTS = 1.0              # a device with less does not answer: the register is not it
 WATCHED_EVERY_NS = NS_PER_S // 2   # rarer reads are of a program that waits for a motion's end
+PROGRAM_RATES_MAX = 3              # a program sets two and that of the port; more are a search
 SUPPLY = 'Present Input Voltage', 'Min Voltage Limit', 'Max Voltage Limit'
 SINGLE_WRITES = (Instruction.WRITE, Instruction.REG_WRITE)
 # Error numbers of a status (e-Manual, Protocol 2.0).
@@ -60,19 +60,16 @@ class Limits(NamedTuple):
     high: float
 
 
-_MX = Limits(80.0, 9.5, 16.0)
-_AX = Limits(70.0, 6.0, 14.0)
-_MX_1 = Limits(80.0, 6.0, 16.0)
 # By model number. A model that is not here is not judged before its own limits are seen.
-FACTORY = {
-    12: _AX, 18: _AX, 300: _AX,                    # AX-12A, AX-18A, AX-12W
-    29: _MX_1, 310: _MX_1, 320: _MX_1, 360: _MX_1,  # MX-28, MX-64, MX-106, MX-12W (1.0)
-    311: _MX, 321: _MX, 30: _MX,                   # MX-64, MX-106, MX-28 (2.0)
-    1020: Limits(80.0, 9.5, 16.0), 1030: Limits(80.0, 9.5, 16.0),      # XM430-W350, XM430-W210
-    1060: Limits(72.0, 6.0, 14.0),                 # XL430-W250
-    1120: Limits(80.0, 10.0, 16.0), 1130: Limits(80.0, 10.0, 16.0),    # XM540-W270, XM540-W150
-    1190: Limits(70.0, 3.5, 7.0), 1200: Limits(70.0, 3.5, 7.0),        # XL330-M077, XL330-M288
-}
+FACTORY = {number: limits for limits, numbers in (
+    (Limits(70.0, 6.0, 14.0), (12, 18, 300)),              # AX-12A, AX-18A, AX-12W
+    (Limits(80.0, 6.0, 16.0), (29, 310, 320, 360)),        # MX-28, MX-64, MX-106, MX-12W (1.0)
+    # MX-28, MX-64, MX-106 (2.0), XM430-W350, XM430-W210
+    (Limits(80.0, 9.5, 16.0), (30, 311, 321, 1020, 1030)),
+    (Limits(72.0, 6.0, 14.0), (1060,)),                    # XL430-W250
+    (Limits(80.0, 10.0, 16.0), (1120, 1130)),              # XM540-W270, XM540-W150
+    (Limits(70.0, 3.5, 7.0), (1190, 1200)),                # XL330-M077, XL330-M288
+) for number in numbers}
 
 
 def is_rate_search(report: BusReport) -> bool:

@@ -547,14 +547,14 @@ def sync_read_unsupported(case: Case) -> Claims:
     for cycle in case.report.cycles:
         if cycle.instruction == Instruction.SYNC_READ \
                 and case.times_asked(cycle, ANSWERS_OTHERWISE_S) >= INCIDENTS_MIN and (
-                    not is_feetech or _answer_all_else(case, cycle)):
+                    not is_feetech or _answer_single_reads(case, cycle)):
             yield Claim('the master sends Sync Reads, which Dynamixel has in Protocol 2.0 '
                         'only, and Feetech SCS not at all: none is answered, other instructions '
                         'are; read one after the other',
                         {'Sync Reads': cycle.asked})
 
 
-def _answer_all_else(case: Case, cycle: Cycle) -> bool:
+def _answer_single_reads(case: Case, cycle: Cycle) -> bool:
     """Tell whether Feetech servos may lack Sync Read: each answers, and never this one."""
     members = [case.devices[number] for number in cycle.ids if number in case.devices]
     return cycle.missed >= cycle.asked - 1 and bool(members) and all(

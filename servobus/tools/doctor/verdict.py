@@ -18,11 +18,11 @@ from typing import NamedTuple
 from msg_defs.reports import Level
 from servobus.bus.report import CONNECTED
 from servobus.bus.report import DeviceReport
+from servobus.doctor.facts import is_rate_search
 from servobus.doctor.finding_log import BusSummary
 from servobus.doctor.finding_log import LoggedFinding
 from servobus.doctor.finding_log import NEEDS_TIMES
 from servobus.doctor.states import LISTED_AS
-from servobus.doctor.thresholds import PROGRAM_RATES_MAX
 from servobus.plain import printable
 from servobus.plain_data import bus_data
 from servobus.plain_data import device_data
@@ -121,7 +121,7 @@ def _head(buses: Sequence[BusSummary], seconds: float, is_timed: bool) -> tuple[
     reports = [bus.report for bus in buses]
     rates = sorted({report.baud for report in reports})
     parts = [f'{" and ".join(map(str, rates))} baud'] if any(rates) else []
-    if any(len(report.tried) > PROGRAM_RATES_MAX for report in reports):
+    if any(map(is_rate_search, reports)):
         parts = ['several baud rates']
     if is_timed:
         parts.append(f'{seconds:.1f} s')
