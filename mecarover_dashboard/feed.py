@@ -94,7 +94,7 @@ class Feed:
     def judge_buses(self, now: int) -> None:
         """Have the buses judged at a stamp, for the conclusion of a recording at its end."""
         for bus, log in self._logs:
-            log.take(bus.report(now))
+            log.add_report(bus.report(now))
 
     def report(self, now: int) -> None:
         """Report at once."""
@@ -103,7 +103,7 @@ class Feed:
         metrics = [Metric('resident_memory', 'MB', value=resident_memory_mb())]
         for bus, log in self._logs:
             report, port = bus.report(now), bus.port_state()
-            log.take(report)
+            log.add_report(report)
             label = bus.monitor.name
             statuses += statuses_of(NODE, label, report, port, whole=True)
             metrics += [*report.metrics, *device_metrics(report)]

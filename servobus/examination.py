@@ -86,7 +86,7 @@ class Examination:
     def _report(self, now: int) -> None:
         for bus, monitor in self._monitors.items():
             report = monitor.report(now)
-            self._logs[bus].take(report)
+            self._logs[bus].add_report(report)
             for one in self._watchers:
                 one.record_report(bus, report)
 

@@ -16,16 +16,16 @@ from rigs.bus import frames
 from rigs.bus import uart
 from rigs.bus.uart import Line
 from rigs.bus.uart import Pulse
-from servobus.doctor import bits
-from servobus.doctor.bits import Shape
-from servobus.doctor.bits import Wreck
-from servobus.doctor.bits import WrongBit
+from servobus.doctor import bit_errors
+from servobus.doctor.bit_errors import DamagedPacket
+from servobus.doctor.bit_errors import ExpectedPacket
+from servobus.doctor.bit_errors import WrongBit
 
 POSITION = 2048
 ANSWERS = [frames.status(3, 0, (POSITION + turn % 700).to_bytes(4, 'little'))
            for turn in range(400)]
-DUE = Shape(ANSWERS[0][:8], len(ANSWERS[0]), 3)
-UPWARD, DOWNWARD = (f'{bits.SIGNAL_LEVEL}: {was} read as {became} each time'
+DUE = ExpectedPacket(ANSWERS[0][:8], len(ANSWERS[0]), 3)
+UPWARD, DOWNWARD = (f'{bit_errors.SIGNAL_LEVEL}: {was} read as {became} each time'
                     for was, became in ('01', '10'))
 
 
@@ -38,7 +38,7 @@ def heard(draw, answers=ANSWERS, seed=1):
 
 
 def looks(noise, due=(DUE,)):
-    return bits.look(bits.wrecks(noise, due))
+    return bit_errors.describe_damage(bit_errors.damaged_packets(noise, due))
 
 
 # --- the line ----------------------------------------------------------------------------------
@@ -68,7 +68,7 @@ def test_a_clock_that_is_slow_reads_the_bit_before_the_last_twice():
 def test_a_single_bit_is_found_wherever_it_is(place, bit):
     wrong = bytearray(ANSWERS[0])
     wrong[place] ^= 1 << bit
-    [wreck] = bits.wrecks(bytes(wrong), (DUE,))
+    [wreck] = bit_errors.damaged_packets(bytes(wrong), (DUE,))
     [flip] = wreck.flips
     assert (flip.at, flip.bit) == (10 * place + bit + 1, bit)
     assert flip.is_up == bool(wrong[place] >> bit & 1)
@@ -78,15 +78,16 @@ def test_in_protocol_1_the_sum_tells_bit_and_direction():
     right = encode_1(32, 0, bytes(2))
     assert right.hex() == 'ffff2004000000db'
     wrong = right[:-1] + b'\xfb'                       # as a user posted it
-    [wreck] = bits.wrecks(wrong, (Shape(right[:5], 8, 32),))
+    [wreck] = bit_errors.damaged_packets(wrong, (ExpectedPacket(right[:5], 8, 32),))
     [flip] = wreck.flips
     assert (flip.bit, flip.is_up) == (5, True)
 
 
 def test_bytes_that_are_no_packet_are_none():
-    assert bits.wrecks(Random(2).randbytes(2000), (DUE,)) == []
-    assert bits.wrecks(b''.join(ANSWERS[:20]), (DUE,)) == []
-    assert bits.wrecks(b'', (DUE,)) == bits.wrecks(ANSWERS[0], ()) == []
+    assert bit_errors.damaged_packets(Random(2).randbytes(2000), (DUE,)) == []
+    assert bit_errors.damaged_packets(b''.join(ANSWERS[:20]), (DUE,)) == []
+    assert bit_errors.damaged_packets(b'', (DUE,)) == []
+    assert bit_errors.damaged_packets(ANSWERS[0], ()) == []
 
 
 HEAD = DUE.known
@@ -95,18 +96,18 @@ HEAD = DUE.known
 @pytest.mark.parametrize('noise', [
     ANSWERS[0][:-1], HEAD + b'\0\xff\xff\0\0\0\0', HEAD + b'\0\0\0\0\0\0\xff'])
 def test_a_packet_that_breaks_off_is_no_wreck(noise):
-    assert bits.wrecks(noise, (DUE,)) == []
-    assert len(bits.wrecks(HEAD + b'\0\xff\0\xff\0\xff\0', (DUE,))) == 1
+    assert bit_errors.damaged_packets(noise, (DUE,)) == []
+    assert len(bit_errors.damaged_packets(HEAD + b'\0\xff\0\xff\0\xff\0', (DUE,))) == 1
 
 
 # --- what it looks like ------------------------------------------------------------------------
 
 @pytest.mark.parametrize(('draw', 'said'), later([
-    (uart.varied(clock=(1.06, 1.07), noise=0.05), bits.CLOCK),
-    (uart.varied(rise=(0.58, 0.7), noise=0.03), f'{bits.SIGNAL_LEVEL}: 1 read as 0'),
-    (uart.varied(lift=(0.35, 0.37), noise=0.07), f'{bits.SIGNAL_LEVEL}: 0 read as 1'),
-    (uart.glitches(0.2), bits.INTERFERENCE),
-    (uart.beats(47.0, 0.4), bits.PWM),
+    (uart.varied(clock=(1.06, 1.07), noise=0.05), bit_errors.CLOCK),
+    (uart.varied(rise=(0.58, 0.7), noise=0.03), f'{bit_errors.SIGNAL_LEVEL}: 1 read as 0'),
+    (uart.varied(lift=(0.35, 0.37), noise=0.07), f'{bit_errors.SIGNAL_LEVEL}: 0 read as 1'),
+    (uart.glitches(0.2), bit_errors.INTERFERENCE),
+    (uart.beats(47.0, 0.4), bit_errors.PWM),
 ], 1), ids=['clock', 'edge', 'ground', 'glitches', 'PWM'])
 def test_what_does_it_is_told(draw, said):
     assert looks(heard(draw)).startswith(said)
@@ -117,7 +118,7 @@ def test_two_that_answer_at_once_are_told():
               for turn in range(400)]
     both = b''.join(bytes(one & other for one, other in zip(*pair, strict=True))
                     for pair in zip(ANSWERS, others, strict=True))
-    assert looks(both).startswith(bits.TWO_SENDERS)
+    assert looks(both).startswith(bit_errors.TWO_SENDERS)
 
 
 def test_where_it_is_not_clear_nothing_is_said():
@@ -128,7 +129,7 @@ def test_where_it_is_not_clear_nothing_is_said():
         garbled.append(answer[:at] + random.randbytes(3) + answer[at + 3:])
     assert looks(b''.join(garbled)) == ''
     assert looks(b''.join(answer[:random.randrange(1, 15)] for answer in ANSWERS)) == ''
-    few = heard(uart.glitches(1.0), ANSWERS[:bits.PICTURE_MIN - 2])
+    few = heard(uart.glitches(1.0), ANSWERS[:bit_errors.PICTURE_MIN - 2])
     assert looks(few) == ''
     same = bytearray(ANSWERS[0])
     same[7] ^= 0x14
@@ -138,10 +139,10 @@ def test_where_it_is_not_clear_nothing_is_said():
 # --- how much it takes -------------------------------------------------------------------------
 
 def wreck(at=11, bit=0, is_up=True, is_late=None, device=3):
-    return Wreck(device, 15, (WrongBit(at, bit, is_up, is_late),))
+    return DamagedPacket(device, 15, (WrongBit(at, bit, is_up, is_late),))
 
 
-WHOLE_HEAD = Wreck(3, 15, ())
+WHOLE_HEAD = DamagedPacket(3, 15, ())
 
 
 def apart(ups, downs):
@@ -151,45 +152,45 @@ def apart(ups, downs):
 
 def pairs(count, gap, others=0, other=50):
     """Return wrecks with two wrong bits so far apart; others with another distance."""
-    return [Wreck(3, 40, (WrongBit(20 + at, at % 7, at % 2 == 0, None),
+    return [DamagedPacket(3, 40, (WrongBit(20 + at, at % 7, at % 2 == 0, None),
                           WrongBit(20 + at + (gap if at < count else other), 0, True, None)))
             for at in range(count + others)]
 
 
 def bursts(late):
     """Return ten wrecks with three wrong bits in a byte each, as late as these in turn."""
-    return [Wreck(3, 15, tuple(WrongBit(10 * at + 1 + bit, bit, True, late[at % len(late)])
+    return [DamagedPacket(3, 15, tuple(WrongBit(10 * at + 1 + bit, bit, True, late[at % len(late)])
                                for bit in range(3))) for at in range(10)]
 
 
 @pytest.mark.parametrize(('found', 'said'), [
-    ([wreck(11 + at, 7) for at in range(8)], bits.CLOCK),
+    ([wreck(11 + at, 7) for at in range(8)], bit_errors.CLOCK),
     ([wreck(11 + at, 7) for at in range(7)], ''),
     ([wreck(11 + at, 7) for at in range(7)] + [WHOLE_HEAD], ''),
-    ([wreck(11 + at, 7) for at in range(18)] + [wreck(500), wreck(600)], bits.CLOCK),
+    ([wreck(11 + at, 7) for at in range(18)] + [wreck(500), wreck(600)], bit_errors.CLOCK),
     ([wreck(11 + at, 7) for at in range(17)] + [wreck(500 + at) for at in range(3)],
      UPWARD),
-    ([WHOLE_HEAD] * 19 + [wreck()], f'{bits.TWO_SENDERS}: the headers are whole, data and '
+    ([WHOLE_HEAD] * 19 + [wreck()], f'{bit_errors.TWO_SENDERS}: the headers are whole, data and '
                                     'checksums are not'),
     ([WHOLE_HEAD] * 18 + [wreck()] * 2, ''),
     ([WHOLE_HEAD] * 17 + [wreck()] * 3, ''),
     (apart(19, 1), UPWARD),
     (apart(1, 19), DOWNWARD),
-    (apart(18, 2), ''), (apart(15, 5), ''), (apart(14, 6), bits.INTERFERENCE),
-    (apart(6, 14), bits.INTERFERENCE),
+    (apart(18, 2), ''), (apart(15, 5), ''), (apart(14, 6), bit_errors.INTERFERENCE),
+    (apart(6, 14), bit_errors.INTERFERENCE),
     ([wreck(11, device=number) for number in range(8)], UPWARD),
     (bursts([None]), ''), (bursts([True] * 9 + [False]), UPWARD),
     (bursts([True] * 8 + [False] * 2), ''),
     ([wreck(11 + 10 * (at % 4)) for at in range(8)], ''),      # a quarter each: no chance
     ([wreck(11 + 10 * (at % 5)) for at in range(10)], UPWARD),
     ([wreck()] * 9, ''),                               # the same bit each time
-    (pairs(16, 33), f'{bits.PWM}: wrong bits about 33 bits apart, or a multiple'),
-    (pairs(15, 33), bits.INTERFERENCE), (pairs(16, 30), bits.INTERFERENCE),
-    (pairs(20, 14), bits.INTERFERENCE),                # one pulse
-    (pairs(18, 33, 6, 49), f'{bits.PWM}: wrong bits about 16 bits apart, or a multiple'),
+    (pairs(16, 33), f'{bit_errors.PWM}: wrong bits about 33 bits apart, or a multiple'),
+    (pairs(15, 33), bit_errors.INTERFERENCE), (pairs(16, 30), bit_errors.INTERFERENCE),
+    (pairs(20, 14), bit_errors.INTERFERENCE),                # one pulse
+    (pairs(18, 33, 6, 49), f'{bit_errors.PWM}: wrong bits about 16 bits apart, or a multiple'),
 ])
 def test_a_picture_needs_enough_of_one_kind(found, said):
-    assert bits.look(found) == said
+    assert bit_errors.describe_damage(found) == said
 
 
 def test_what_is_due_is_what_answers_the_questions():
@@ -197,15 +198,15 @@ def test_what_is_due_is_what_answers_the_questions():
               asks(I.PING, 7), asks(I.PING, 8, 9), asks(I.SYNC_WRITE, 10), asks(I.READ, 3, size=2))
     of_2 = case(cycles=cycles, protocol='Dynamixel 2.0').report
     head = b'\xff\xff\xfd\0'
-    assert bits.shapes(of_2) == (
-        Shape(head + b'\3\6\0\x55', 13, 3), Shape(head + b'\4\x08\0\x55', 15, 4),
-        Shape(head + b'\5\x08\0\x55', 15, 5), Shape(head + b'\6\4\0\x55', 11, 6),
-        Shape(head + b'\7\7\0\x55', 14, 7))
+    assert bit_errors.expected_packets(of_2) == (
+        ExpectedPacket(head + b'\3\6\0\x55', 13, 3), ExpectedPacket(head + b'\4\x08\0\x55', 15, 4),
+        ExpectedPacket(head + b'\5\x08\0\x55', 15, 5), ExpectedPacket(head + b'\6\4\0\x55', 11, 6),
+        ExpectedPacket(head + b'\7\7\0\x55', 14, 7))
     of_1 = case(cycles=cycles[:4], protocol='Feetech').report
-    assert bits.shapes(of_1) == (
-        Shape(b'\xff\xff\3\4\0', 8, 3), Shape(b'\xff\xff\4\6\0', 10, 4),
-        Shape(b'\xff\xff\5\6\0', 10, 5), Shape(b'\xff\xff\6\2\0', 6, 6),
-        Shape(b'\xff\xff\7\2\0', 6, 7))
+    assert bit_errors.expected_packets(of_1) == (
+        ExpectedPacket(b'\xff\xff\3\4\0', 8, 3), ExpectedPacket(b'\xff\xff\4\6\0', 10, 4),
+        ExpectedPacket(b'\xff\xff\5\6\0', 10, 5), ExpectedPacket(b'\xff\xff\6\2\0', 6, 6),
+        ExpectedPacket(b'\xff\xff\7\2\0', 6, 7))
 
 
 @pytest.mark.parametrize(('turned', 'is_known'), [(7, True), (8, False)])
@@ -213,7 +214,7 @@ def test_fewer_than_an_eighth_of_the_known_bits_are_wrong(turned, is_known):
     wrong = bytearray(ANSWERS[0])
     for bit in range(turned):
         wrong[bit // 2] ^= 1 << bit % 2
-    found = bits.wrecks(bytes(wrong), (DUE,))
+    found = bit_errors.damaged_packets(bytes(wrong), (DUE,))
     assert [len(one.flips) for one in found] == [7] * is_known
 
 

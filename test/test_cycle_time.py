@@ -282,7 +282,7 @@ def test_a_pause_is_no_cycle():
 ])
 def test_what_takes_most_of_a_cycle_is_advice(pattern, robot, dead, device, word):
     report = Robot(**robot).run(pattern, dead)
-    found = list(cycle_time.check(History(PARAMETERS).take(report)))
+    found = list(cycle_time.check(History(PARAMETERS).make_case(report)))
     assert [one.device for one in found] == ([device] if word else [])
     assert all(word in one.message for one in found)
     assert {one.level for one in report.findings if one.rule == 'cycle_time'} <= {Level.OK}
@@ -301,7 +301,7 @@ def test_a_program_that_takes_long_each_time_otherwise_is_named(busy, is_named):
             robot.bus.change(Change(BUSY, int(busy * robot.program) // 1000), robot.now)
     report = robot.bus.report(robot.now)
     assert report.cycle.busy == (busy and pytest.approx(busy * report.cycle.program, rel=0.05))
-    found = list(cycle_time.check(History(PARAMETERS).take(report)))
+    found = list(cycle_time.check(History(PARAMETERS).make_case(report)))
     assert ['the program itself' in one.message for one in found] == [True] * is_named
 
 

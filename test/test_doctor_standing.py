@@ -89,7 +89,7 @@ def noisy(count, seconds=0.0, noise=bytes(WRONG)):
 def test_a_wreck_is_looked_at_once_and_forgotten_after_ten_seconds():
     history = History()
     size = len(WRONG)
-    assert [len(history.take(noisy(count, seconds)).wrecks) for count, seconds in (
+    assert [len(history.make_case(noisy(count, seconds)).damaged_packets) for count, seconds in (
         (size, 0), (size, 1), (2 * size, 2), (2 * size + 1, 3), (2 * size + 1, 10),
         (2 * size + 1, 10.001), (2 * size + 1, 12), (2 * size + 1, 12.001))] \
         == [1, 1, 2, 2, 2, 1, 1, 0]

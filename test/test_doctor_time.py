@@ -383,8 +383,8 @@ def test_what_happened_lately_to_a_device_is_counted_from_then_on():
     one = device(totals={'answers': 9})
     found = case(one, marks={3: {'totals': {1: Counts(answers=2)}},
                              2: {'totals': {1: Counts(answers=5)}}})
-    assert [found.lately(one, age).answers for age in (9, 3, 2.5, 2, 1)] == [7, 7, 7, 4, 4]
-    assert found.lately(device(2, totals={'answers': 4}), 2).answers == 4
+    assert [found.recent_counts(one, age).answers for age in (9, 3, 2.5, 2, 1)] == [7, 7, 7, 4, 4]
+    assert found.recent_counts(device(2, totals={'answers': 4}), 2).answers == 4
 
 
 def test_damage_has_gone_on_from_its_first_to_its_last():
@@ -420,8 +420,8 @@ def test_who_waits_behind_another():
 
 def asked_at(history, *pairs):
     """Return how long it was quiet, by reports at s with the last instruction at s."""
-    return [round(history.take(case(asked=int(asked * S), stamp=int(now * S)).report).quiet_s, 3)
-            for now, asked in pairs]
+    reports = [case(asked=int(asked * S), stamp=int(now * S)).report for now, asked in pairs]
+    return [round(history.make_case(report).quiet_s, 3) for report in reports]
 
 
 def test_a_pause_is_quiet_where_the_master_does_not_often_pause_like_that():
@@ -440,33 +440,33 @@ def test_an_incident_is_taken_once_and_forgotten_after_ten_seconds():
     history = History()
     one, two = note(ev.CUT, ev.Front(2, 7), 2)
     report = case().report
-    assert history.take(report._replace(incidents=(one,))).count(ev.CUT) == 1
-    assert history.take(report._replace(incidents=(one, two))).count(ev.CUT) == 2
+    assert history.make_case(report._replace(incidents=(one,))).count(ev.CUT) == 1
+    assert history.make_case(report._replace(incidents=(one, two))).count(ev.CUT) == 2
     later = report._replace(incidents=(one, two))
-    assert history.take(later._replace(stamp=one.stamp + 10 * S)).count(ev.CUT) == 2
-    assert history.take(later._replace(stamp=one.stamp + 10 * S + 1)).count(ev.CUT) == 1
-    assert history.take(later._replace(stamp=two.stamp + 10 * S + 1)).count(ev.CUT) == 0
+    assert history.make_case(later._replace(stamp=one.stamp + 10 * S)).count(ev.CUT) == 2
+    assert history.make_case(later._replace(stamp=one.stamp + 10 * S + 1)).count(ev.CUT) == 1
+    assert history.make_case(later._replace(stamp=two.stamp + 10 * S + 1)).count(ev.CUT) == 0
 
 
 @pytest.mark.parametrize(('between', 'count'), [
     ((), 1), ((NOW - 160 * MS,), 0), ((NOW - 159 * MS,), 0), ((NOW - 159 * MS + 1,), 1)])
 def test_a_repetition_with_another_question_between_is_none(between, count):
     again = every([20] * 7 + [19, 1] + [20] * 14)      # 160 ms before the last, and 159
-    found = History().take(case(cycles=(again, asks(I.PING, 2, stamps=between))).report)
+    found = History().make_case(case(cycles=(again, asks(I.PING, 2, stamps=between))).report)
     assert len(found.repeats) == count
 
 
 def test_rhythms_are_looked_for_every_three_quarters_of_a_second():
     history = History()
     cycles = (every([20] * 20),)
-    assert [len(history.take(case(stamp=NOW + int(at * S), cycles=some).report).rhythms)
+    assert [len(history.make_case(case(stamp=NOW + int(at * S), cycles=some).report).rhythms)
             for at, some in ((0, ()), (0.749, cycles), (0.75, cycles), (1.499, ()), (1.5, ()))] \
         == [0, 0, 1, 1, 0]
 
 
 def test_a_thousand_incidents_of_a_kind_are_kept():
     many = tuple(note(ev.CUT, ev.Front(2, 7), 1001, every_ms=1.0))
-    found = History().take(case(incidents=many).report)
+    found = History().make_case(case(incidents=many).report)
     assert [one.stamp for one in found.incidents(ev.CUT)] == [one.stamp for one in many[1:]]
 
 
@@ -474,13 +474,13 @@ def test_after_a_reset_the_history_begins_again():
     history = History()
     [one] = note(ev.CUT, ev.Front(2, 7), 1)
     counted = case(counters={'Bytes': 5}, incidents=(one,)).report
-    assert history.take(counted).count(ev.CUT) == 1
-    assert history.take(counted._replace(incidents=())).count(ev.CUT) == 1
-    assert history.take(counted._replace(counters=COUNTERS, incidents=())).count(ev.CUT) == 0
+    assert history.make_case(counted).count(ev.CUT) == 1
+    assert history.make_case(counted._replace(incidents=())).count(ev.CUT) == 1
+    assert history.make_case(counted._replace(counters=COUNTERS, incidents=())).count(ev.CUT) == 0
 
 
 def test_a_mark_counts_what_the_driver_and_the_devices_did():
-    found = History().take(case(
+    found = History().make_case(case(
         device(totals={'answers': 2}), device(2, totals={'answers': 3}),
         counters={'Bytes': 9, 'Packet Bytes': 8, 'Packets': 7, 'Instructions': 6},
         kinds={ev.GLITCH: 4, ev.ECHO: 5},
@@ -495,8 +495,8 @@ def test_samples_are_those_of_the_last_ten_seconds():
     moving = device(registers={'Goal Position': 9, 'Present Position': 7,
                                'Present Input Voltage': 120, 'Realtime Tick': 1500})
     for age in (10, 0):
-        found = history.take(case(moving, stamp=NOW - age * S).report)
+        found = history.make_case(case(moving, stamp=NOW - age * S).report)
     assert list(found.samples[1]) == [Sample(NOW - age * S, 9, 7, 1.5, 12.0) for age in (10, 0)]
-    found = history.take(case(moving, stamp=NOW + 1).report)
+    found = history.make_case(case(moving, stamp=NOW + 1).report)
     assert [one.stamp for one in found.samples[1]] == [NOW, NOW + 1]
-    assert History().take(case(device(registers={'Goal Position': 9})).report).samples == {}
+    assert History().make_case(case(device(registers={'Goal Position': 9})).report).samples == {}

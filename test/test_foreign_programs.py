@@ -500,13 +500,13 @@ def test_a_search_over_rates_is_no_silence_once_it_finds(finds, levels):
         for _ in range(10):
             bus.wait(0.2)
             bus.monitor.feed(encode(254, 1), bus.now, OUT)
-            log.take(bus.report())
+            log.add_report(bus.report())
     if finds:
         bus.wait(0.001)
         bus.monitor.feed(encode(1, STATUS, b'\x24\x04\x2e', error=0), bus.now, IN)
     bus.wait(0.2)
     bus.monitor.end(bus.now)
-    log.take(bus.report())
+    log.add_report(bus.report())
     assert [one.finding.level for one in log.entries() if one.finding.level] == levels
 
 
@@ -541,7 +541,7 @@ def test_what_late_answers_spoil_has_a_cause():
     bus, log = Bus(), FindingLog()
     for turn, _ in enumerate(heard(bus, islice(gives_up(2, 20, 4, 4, 0.3), 2000))):
         if turn % 40 == 39:
-            log.take(bus.report())
+            log.add_report(bus.report())
     said = make_verdict('run', [BusSummary.of('', log.last, log, True)], 10, True)
     assert [(one.rule, one.who) for one in said.wrong] == [('late_answers', '001')]
     assert any(one.level for one in log.last.devices if one.id != 1)

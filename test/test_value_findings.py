@@ -109,7 +109,7 @@ class Watched:
     def look(self):
         """Report, and let everybody see it."""
         self.report = report = self.monitor.report(self.now)
-        self._log.take(report)
+        self._log.add_report(report)
         statuses = statuses_of('dxl_monitor', '', report, PortState('/dev/ttyUSB0', '', ()), True)
         self.statuses = {status.name.rpartition(': ')[2]: status for status in statuses}
         self._state.store_message(TABLES, statuses, self.now / S)

@@ -30,11 +30,11 @@ from servobus.bus.report import Incident
 from servobus.bus.report import IncidentKind
 from servobus.bus.report import Wait
 from servobus.bus.table import Observed
-from servobus.doctor.bits import laid_over
-from servobus.doctor.bits import look
-from servobus.doctor.bits import shapes
-from servobus.doctor.bits import Wreck
-from servobus.doctor.bits import wrecks
+from servobus.doctor.bit_errors import count_overlaid
+from servobus.doctor.bit_errors import damaged_packets
+from servobus.doctor.bit_errors import DamagedPacket
+from servobus.doctor.bit_errors import describe_damage
+from servobus.doctor.bit_errors import expected_packets
 from servobus.doctor.rhythm import PeriodicTimer
 from servobus.doctor.rhythm import Rhythm
 from servobus.doctor.rhythm import rhythms
@@ -115,7 +115,7 @@ class Case:
     """One bus at one moment, with its last ten seconds."""
 
     report: BusReport
-    seen: dict[str, deque[Incident[Any]]]
+    incidents_by_kind: dict[str, deque[Incident[Any]]]
     marks: deque[Mark]
     samples: dict[int, deque[Sample]]
     repeats: dict[int, int]            # stamp and instruction: asked again at once
@@ -125,7 +125,7 @@ class Case:
     quiet_s: float = 0.0               # since the last instruction, where that is unusual
     has_overlaps: bool = False         # questions were inside something else, in the window
     run_from: int = 0                  # stamp of the first instruction since a long pause
-    wrecks: Sequence[Wreck] = ()       # damaged packets that are recognised
+    damaged_packets: Sequence[DamagedPacket] = ()       # damaged packets that are recognised
     clocks: Sequence[TwoClocks] = ()   # instructions that two loops repeat
     highest: dict[int, float] = field(default_factory=dict)    # V of each device, since the start
 
@@ -137,7 +137,7 @@ class Case:
                   device: DeviceReport | None = None) -> list[Incident[D]]:
         """Return the incidents of a kind in the window, those of one device or all."""
         if device is None:
-            return list(self.seen.get(kind, ()))
+            return list(self.incidents_by_kind.get(kind, ()))
         return self._by_device.get((kind, device.id), [])
 
     def count(self, kind: IncidentKind[Any], device: DeviceReport | None = None) -> int:
@@ -147,7 +147,7 @@ class Case:
     @cached_property
     def _by_device(self) -> defaultdict[tuple[str, int], list[Incident[Any]]]:
         found: defaultdict[tuple[str, int], list[Incident[Any]]] = defaultdict(list)
-        for many in self.seen.values():
+        for many in self.incidents_by_kind.values():
             for one in many:
                 found[one.kind, one.device].append(one)
         return found
@@ -161,7 +161,7 @@ class Case:
     def packets(self) -> int:
         """How many packets in the window were whole; a recording may have but one report."""
         if len(self.marks) > 1:
-            return self.counted('packets')
+            return self.increase_of('packets')
         return round(self.report.rates.get('packets', 0.0) * min(WINDOW_S, self.heard_s))
 
     @property
@@ -173,13 +173,15 @@ class Case:
     @cached_property
     def damage_s(self) -> float:
         """For how long the damage has gone on, s."""
-        stamps = [one.stamp for kind in _DAMAGE_KINDS for one in self.seen.get(kind, ())]
+        stamps = [one.stamp for kind in _DAMAGE_KINDS
+                  for one in self.incidents_by_kind.get(kind, ())]
         return (max(stamps) - min(stamps)) / NS_PER_S if stamps else 0.0
 
-    def looks_like(self, device: DeviceReport | None = None) -> dict[str, str]:
+    def damage_picture(self, device: DeviceReport | None = None) -> dict[str, str]:
         """Return what the damage of a device or of all looks like, as a figure; {} if unclear."""
-        said = look([one for one in self.wrecks if device is None or one.device == device.id])
-        return {'looks like': said} if said else {}
+        picture = describe_damage([one for one in self.damaged_packets
+                                   if device is None or one.device == device.id])
+        return {'looks like': picture} if picture else {}
 
     @cached_property
     def spoilt(self) -> int:
@@ -216,12 +218,12 @@ class Case:
         since = self.stamp_ago(seconds)
         return sum(stamp > since for stamp in cycle.stamps)
 
-    def was_asked(self, begin: int, end: int, but: Cycle) -> bool:
+    def was_anything_asked(self, begin: int, end: int, but: Cycle) -> bool:
         """Tell whether anything else was asked between two stamps, or in the same chunks."""
         return any(begin <= stamp <= end for cycle in self.report.cycles if cycle is not but
                    for stamp in cycle.stamps)
 
-    def lately(self, device: DeviceReport, seconds: float) -> Counts:
+    def recent_counts(self, device: DeviceReport, seconds: float) -> Counts:
         """Return what happened to a device since so long ago, or since it is known."""
         return device.totals.since(self.mark(seconds).totals.get(device.id, Counts()))
 
@@ -231,7 +233,7 @@ class Case:
         return next((mark for mark in reversed(self.marks) if mark.stamp <= before),
                     self.marks[0])
 
-    def counted(self, name: str, seconds: float = WINDOW_S) -> int:
+    def increase_of(self, name: str, seconds: float = WINDOW_S) -> int:
         """Return how much a count of a Mark grew in so long a time."""
         return int(getattr(self.mark(0), name) - getattr(self.mark(seconds), name))
 
@@ -299,15 +301,15 @@ class History:
         self._asked = self._pause = 0  # stamp of the last instruction, and how old it was
         self._run_from = self._overlapped = 0
         self._pauses: deque[tuple[int, int]] = deque(maxlen=HISTORY_MAX)
-        self._wrecks: deque[tuple[int, Wreck]] = deque(maxlen=HISTORY_MAX)
+        self._wrecks: deque[tuple[int, DamagedPacket]] = deque(maxlen=HISTORY_MAX)
         self._noise = 0                # bytes of it that were looked at
 
-    def take(self, report: BusReport) -> Case:
+    def make_case(self, report: BusReport) -> Case:
         """Remember a report; return it with what belongs to it."""
         mark = mark_of(report)
         if self._marks and mark.bytes < self._marks[-1].bytes:
             self.clear()
-        self._take_incidents(report.incidents)
+        self._store_incidents(report.incidents)
         before = report.stamp - WINDOW_NS
         self._marks.append(mark)
         while self._marks[0].stamp < before:
@@ -319,23 +321,24 @@ class History:
         if fresh:
             self._rhythms = (report.stamp, rhythms(report.cycles, report.stamp, report.baud))
             self._steady |= {key_of(one.cycle) for one in self._rhythms[1] if one.is_even}
-            self._look_for_clocks(report, before)
+            self._find_clocks(report, before)
         case = Case(report, self._seen, self._marks, self._samples, self._repeats,
                     self._rhythms[1], self._steady, self._names,
                     self._quiet_s(report),
-                    wrecks=self._recognised(report, before), run_from=self._run_from,
+                    damaged_packets=self._recognise_damage(report, before),
+                    run_from=self._run_from,
                     has_overlaps=0 < self._overlapped > before,
                     clocks=[*self._clocks.values()], highest=self._highest)
-        self._sample(case, before)
+        self._store_samples(case, before)
         for rhythm in case.rhythms if fresh else ():
             self._repeats.update(
                 (again, rhythm.cycle.instruction) for before_that, again in rhythm.repeats
-                if not case.was_asked(before_that, again, rhythm.cycle))
+                if not case.was_anything_asked(before_that, again, rhythm.cycle))
         for stamp in [stamp for stamp in self._repeats if stamp < before]:
             del self._repeats[stamp]
         return case
 
-    def _look_for_clocks(self, report: BusReport, before: int) -> None:
+    def _find_clocks(self, report: BusReport, before: int) -> None:
         """
         Remember which instructions two loops repeat.
 
@@ -348,14 +351,14 @@ class History:
             if timers is not None:
                 self._clocks[key_of(rhythm.cycle)] = TwoClocks(report.stamp, rhythm.cycle, timers)
 
-    def _recognised(self, report: BusReport, before: int) -> list[Wreck]:
+    def _recognise_damage(self, report: BusReport, before: int) -> list[DamagedPacket]:
         """Return the damaged packets of the window; those of this report are looked at now."""
         fresh = report.counters['Noise Bytes'] - self._noise
         self._noise = report.counters['Noise Bytes']
         if fresh > 0:
-            found = wrecks(report.noise[-fresh:], shapes(report))
+            found = damaged_packets(report.noise[-fresh:], expected_packets(report))
             self._wrecks.extend((report.stamp, one) for one in found)
-            if laid_over(report):
+            if count_overlaid(report):
                 self._overlapped = report.stamp
         while self._wrecks and self._wrecks[0][0] < before:
             self._wrecks.popleft()
@@ -368,7 +371,7 @@ class History:
         pause = report.stamp - report.asked
         if report.asked != self._asked:
             self._pauses.append((report.stamp, self._pause))
-            self._note_run(report)
+            self._store_run_start(report)
             self._asked = report.asked
         self._pause = pause
         while self._pauses and self._pauses[0][0] < report.stamp - PAUSES_KEPT_NS:
@@ -376,7 +379,7 @@ class History:
         usual = max((one for _, one in self._pauses), default=0)
         return pause / NS_PER_S if pause > max(PAUSE_MIN_NS, 2 * usual) else 0.0
 
-    def _note_run(self, report: BusReport) -> None:
+    def _store_run_start(self, report: BusReport) -> None:
         """Note where the master began again, after a long pause or for the first time."""
         if self._asked and report.asked - self._asked < RUN_GAP_NS:
             return
@@ -386,7 +389,7 @@ class History:
         if not self._asked or first - self._asked >= RUN_GAP_NS:
             self._run_from = first
 
-    def _take_incidents(self, incidents: tuple[Incident[Any], ...]) -> None:
+    def _store_incidents(self, incidents: tuple[Incident[Any], ...]) -> None:
         new = []
         for incident in reversed(incidents):
             if incident is self._last:
@@ -399,7 +402,7 @@ class History:
             seen[incident.kind].append(incident)
         self._last = incidents[-1] if incidents else None
 
-    def _sample(self, case: Case, before: int) -> None:
+    def _store_samples(self, case: Case, before: int) -> None:
         for device in case.report.devices:
             values = case.values[device.id]
             if 'Present Position' not in values and 'Present Input Voltage' not in values:

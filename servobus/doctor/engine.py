@@ -31,11 +31,11 @@ from servobus.doctor.rules import devices
 from servobus.doctor.rules import missing
 from servobus.doctor.rules import noise
 from servobus.doctor.rules import program
-from servobus.doctor.standing import claimed
-from servobus.doctor.standing import dated
-from servobus.doctor.standing import held
-from servobus.doctor.standing import Standing
-from servobus.doctor.states import judged
+from servobus.doctor.standing import dated_claim
+from servobus.doctor.standing import kept_claim
+from servobus.doctor.standing import standing_claim
+from servobus.doctor.standing import StandingClaim
+from servobus.doctor.states import judge_states
 from servobus.internal_fault import survive
 
 IDLE_S = 0.5                       # no byte for so long: there is nothing to judge
@@ -54,17 +54,17 @@ class Doctor:
     def __init__(self, settings: Settings = DEFAULTS, names: Names = PARAMETERS) -> None:
         self._settings, self._names = settings, names
         self._history = History(names)
-        self._standing: dict[_Key, Standing] = {}
+        self._standing: dict[_Key, StandingClaim] = {}
         self._since: dict[_Key, int] = {}          # claimed without a break
         self._doubts: tuple[Finding, ...] = ()
 
     def examine(self, report: BusReport) -> BusReport:
         """Return the report with states, findings, levels and messages."""
-        report = judged(report, self._settings, self._names)
-        case = self._history.take(report)
+        report = judge_states(report, self._settings, self._names)
+        case = self._history.make_case(report)
         if case.quiet_s and (report.last_byte_s or 0.0) > IDLE_S:
-            findings = self._last_told(case)
-            return _with(case, findings, self._doubts or tuple(
+            findings = self._report_claims_at_rest(case)
+            return _report_with(case, findings, self._doubts or tuple(
                 Finding('noise', Level.OK, found.device, found.reason)
                 for found in noise.source_lost(case)))
         doubts: list[Finding] = []
@@ -77,16 +77,16 @@ class Doctor:
                     onset_s = WEAK_ONSET_S if rule in devices.RULES and case.is_weak \
                         else rule.onset_s
                     if found.is_certain or case.now - since[key] >= onset_s * NS_PER_S:
-                        self._standing[key] = claimed(case, rule, found,
+                        self._standing[key] = standing_claim(case, rule, found,
                                                       self._standing.get(key))
                 else:
                     doubts.append(Finding(rule.name, Level.OK, found.device, found.reason))
         self._since = since
         self._standing = {
-            key: lasting for key, one in self._standing.items() if (lasting := one if (
-                0 <= case.now - one.stamp <= (HOLD_NS if one.rule.holds else 0)
-                or (key in since and one.reading is not None)) else held(case, one)) is not None}
-        findings = self._told(case)
+            key: lasting for key, one in self._standing.items()
+            if (lasting := one if _lasts(case, one) or (key in since and one.reading is not None)
+                else kept_claim(case, one)) is not None}
+        findings = self._report_claims(case)
         named = {(finding.rule, finding.device) for finding in findings}
         causes = [rules.BY_NAME[finding.rule] for finding in findings
                   if finding.device is None and finding.level is not Level.OK]
@@ -94,22 +94,23 @@ class Doctor:
             one for one in doubts if (one.rule, one.device) not in named
             and not any(rules.BY_NAME[one.rule].symptoms <= cause.accounts_for
                         for cause in causes)])
-        return _with(case, findings, self._doubts)
+        return _report_with(case, findings, self._doubts)
 
-    def _last_told(self, case: Case) -> tuple[Finding, ...]:
+    def _report_claims_at_rest(self, case: Case) -> tuple[Finding, ...]:
         """Return what was known when the master asked last: nothing new can be judged."""
         self._standing.pop((program.master_stopped.name, None), None)    # the port may be closed
         for rule in _AT_REST:
             for found in found_by(rule, case):
                 if isinstance(found, Claim):
-                    self._standing[rule.name, found.device] = claimed(case, rule, found, None)
-        return self._told(case)
+                    self._standing[rule.name, found.device] = standing_claim(
+                        case, rule, found, None)
+        return self._report_claims(case)
 
-    def _told(self, case: Case) -> tuple[Finding, ...]:
+    def _report_claims(self, case: Case) -> tuple[Finding, ...]:
         """Return the standing claims that no other accounts for, the worst and newest first."""
         if not self._standing:
             return ()
-        standing = [one if one.reading is None else dated(case, one)
+        standing = [one if one.reading is None else dated_claim(case, one)
                     for one in self._standing.values()]
         findings = [_finding(one) for one in standing]
         causes = [finding for one, finding in zip(standing, findings, strict=True)
@@ -120,7 +121,12 @@ class Doctor:
                                                        rules.RANKS[one.rule])))
 
 
-def _finding(one: Standing) -> Finding:
+def _lasts(case: Case, one: StandingClaim) -> bool:
+    """Tell whether a claim was made so lately that it is still reported."""
+    return 0 <= case.now - one.stamp <= (HOLD_NS if one.rule.holds else 0)
+
+
+def _finding(one: StandingClaim) -> Finding:
     claim = one.claim
     return Finding(one.rule.name, one.rule.level if claim.level is None else claim.level,
                    claim.device, claim.message, claim.evidence, claim.covers,
@@ -132,14 +138,14 @@ def found_by(rule: Rule, case: Case) -> list[Found]:
     try:
         if not (rule.each_device or rule.needs_incident):
             return [*rule.check(case)]
-        return [found._replace(device=device.id) for device in _whom(rule, case)
+        return [found._replace(device=device.id) for device in _devices_to_check(rule, case)
                 if (found := rule.check(case, device)) is not None]
     except Exception as mistake:               # the other rules go on
         survive(f'the rule {rule.name}', mistake)
         return []
 
 
-def _whom(rule: Rule, case: Case) -> Iterator[DeviceReport]:
+def _devices_to_check(rule: Rule, case: Case) -> Iterator[DeviceReport]:
     """Yield the devices that a rule is asked of."""
     devices = case.report.devices
     if rule.needs_incident:
@@ -151,7 +157,7 @@ def _whom(rule: Rule, case: Case) -> Iterator[DeviceReport]:
             yield device
 
 
-def _with(case: Case, findings: tuple[Finding, ...],
+def _report_with(case: Case, findings: tuple[Finding, ...],
           doubts: tuple[Finding, ...]) -> BusReport:
     report = case.report
     first: dict[int | None, Finding] = {}

@@ -25,20 +25,20 @@ from servobus.bus.report import Incident
 from servobus.bus.report import PROTOCOL_2
 from servobus.bus.report import Wait
 from servobus.bus.table import Observed
-from servobus.doctor.bits import GROUP_READS
-from servobus.doctor.bits import laid_over
-from servobus.doctor.bits import NOISE_MAX_BITS
-from servobus.doctor.bits import packet_of
-from servobus.doctor.bits import TWO_SENDERS
-from servobus.doctor.bits import wrong_bits
+from servobus.doctor.bit_errors import count_overlaid
+from servobus.doctor.bit_errors import GROUP_READS
+from servobus.doctor.bit_errors import NOISE_MAX_BITS
+from servobus.doctor.bit_errors import packet_of
+from servobus.doctor.bit_errors import TWO_SENDERS
+from servobus.doctor.bit_errors import wrong_bits
 from servobus.doctor.case import Case
 from servobus.doctor.thresholds import INCIDENTS_MIN
-from servobus.doctor.thresholds import PROGRAM_RATES_MAX
 
 LOST_BITS_MIN_SHARE = 0.3          # share of damaged instructions; bits turned over by chance: 0.1
 TAIL_BYTES = 6                     # the CRC is among them, so they are not there by chance
 ALIVE_MIN_VOLTS = 1.0              # a device with less does not answer: the register is not it
 WATCHED_EVERY_NS = NS_PER_S // 2   # rarer reads are of a program that waits for a motion's end
+PROGRAM_RATES_MAX = 3              # a program sets two and that of the port; more are a search
 SUPPLY = 'Present Input Voltage', 'Min Voltage Limit', 'Max Voltage Limit'
 SINGLE_WRITES = (Instruction.WRITE, Instruction.REG_WRITE)
 # Error numbers of a status (e-Manual, Protocol 2.0).
@@ -60,19 +60,16 @@ class Limits(NamedTuple):
     high: float
 
 
-_MX = Limits(80.0, 9.5, 16.0)
-_AX = Limits(70.0, 6.0, 14.0)
-_MX_1 = Limits(80.0, 6.0, 16.0)
 # By model number. A model that is not here is not judged before its own limits are seen.
-FACTORY = {
-    12: _AX, 18: _AX, 300: _AX,                    # AX-12A, AX-18A, AX-12W
-    29: _MX_1, 310: _MX_1, 320: _MX_1, 360: _MX_1,  # MX-28, MX-64, MX-106, MX-12W (1.0)
-    311: _MX, 321: _MX, 30: _MX,                   # MX-64, MX-106, MX-28 (2.0)
-    1020: Limits(80.0, 9.5, 16.0), 1030: Limits(80.0, 9.5, 16.0),      # XM430-W350, XM430-W210
-    1060: Limits(72.0, 6.0, 14.0),                 # XL430-W250
-    1120: Limits(80.0, 10.0, 16.0), 1130: Limits(80.0, 10.0, 16.0),    # XM540-W270, XM540-W150
-    1190: Limits(70.0, 3.5, 7.0), 1200: Limits(70.0, 3.5, 7.0),        # XL330-M077, XL330-M288
-}
+FACTORY = {number: limits for limits, numbers in (
+    (Limits(70.0, 6.0, 14.0), (12, 18, 300)),              # AX-12A, AX-18A, AX-12W
+    (Limits(80.0, 6.0, 16.0), (29, 310, 320, 360)),        # MX-28, MX-64, MX-106, MX-12W (1.0)
+    # MX-28, MX-64, MX-106 (2.0), XM430-W350, XM430-W210
+    (Limits(80.0, 9.5, 16.0), (30, 311, 321, 1020, 1030)),
+    (Limits(72.0, 6.0, 14.0), (1060,)),                    # XL430-W250
+    (Limits(80.0, 10.0, 16.0), (1120, 1130)),              # XM540-W270, XM540-W150
+    (Limits(70.0, 3.5, 7.0), (1190, 1200)),                # XL330-M077, XL330-M288
+) for number in numbers}
 
 
 def is_rate_search(report: BusReport) -> bool:
@@ -114,10 +111,10 @@ def is_off(torque: Observed | None) -> bool:
 
 # --- the question on which a program ended -------------------------------------------------------
 
-def ended_on(case: Case) -> Wait | None:
+def fatal_wait(case: Case) -> Wait | None:
     """Return the vain wait on which a program ended with an error, None if that is unknown."""
     last = case.last_wait
-    if not case.report.failed or last is None or last.is_spoilt or read_late(case):
+    if not case.report.failed or last is None or last.is_spoilt or fatal_late_answer(case):
         return None
     if case.report.failed == words.RAISED:
         return last
@@ -132,7 +129,7 @@ def ended_on(case: Case) -> Wait | None:
     return None if len(alike) > 1 and alike[0] < case.now - answered * NS_PER_S else last
 
 
-def read_late(case: Case) -> Incident[ev.Lateness] | None:
+def fatal_late_answer(case: Case) -> Incident[ev.Lateness] | None:
     """Return the late answer that a program got for its last question, on which it ended."""
     last = case.last_wait
     asked = [one.stamp - 1000 * one.detail.us for one in case.incidents(ev.LEFT_OPEN)] \
@@ -153,7 +150,7 @@ def may_overlap(case: Case) -> bool:
         return True
     # Where the sides are known, it would have been seen that somebody did not wait.
     return not case.report.has_sides \
-        and case.looks_like().get('looks like', '').startswith(TWO_SENDERS)
+        and case.damage_picture().get('looks like', '').startswith(TWO_SENDERS)
 
 
 @lru_cache(maxsize=1)              # several rules ask it of one case
@@ -164,7 +161,7 @@ def is_collision(case: Case) -> bool:
     Two loops repeat one instruction, and a question was laid over something; or questions are in
     the noise with bits lost and none added; or damaged instructions of Protocol 2.0 are.
     """
-    if laid_over_answers(case) or (
+    if is_overlaid(case) or (
             case.clocks and case.damage >= INCIDENTS_MIN and ran_into_answers(case)):
         return True
     if case.report.protocol != PROTOCOL_2:
@@ -215,6 +212,6 @@ def ran_into_answers(case: Case) -> int:
     return found
 
 
-def laid_over_answers(case: Case) -> bool:
+def is_overlaid(case: Case) -> bool:
     """Tell whether questions were wholly inside something else, as far as the last noise."""
-    return case.damage >= INCIDENTS_MIN and laid_over(case.report) >= INCIDENTS_MIN
+    return case.damage >= INCIDENTS_MIN and count_overlaid(case.report) >= INCIDENTS_MIN

@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What the doctor said of one bus while it listened, from the first report to the last. Pure.
+What the doctor reported of one bus while it listened, from the first report to the last. Pure.
 
 A fault of two seconds is still worth a word at the end. What a later finding accounts for is not.
 """
@@ -22,7 +22,7 @@ _SILENT = 'all_silent', None
 NEEDS_TIMES = frozenset(rule.name for rule in timing.RULES)
 
 
-class Logged(NamedTuple):
+class LoggedFinding(NamedTuple):
     """
     A finding; first_s, last_s: its times from the first byte; stands: there at the end.
 
@@ -40,34 +40,34 @@ class FindingLog:
     """The findings of one bus over time; takes its reports in order."""
 
     def __init__(self) -> None:
-        self._entries: dict[_Key, Logged] = {}
+        self._entries: dict[_Key, LoggedFinding] = {}
         self._rates = 0                # how many were tried when nothing answered
         self.last: BusReport | None = None
 
-    def take(self, report: BusReport) -> None:
+    def add_report(self, report: BusReport) -> None:
         """Remember what this report says."""
         now_s = max(0, report.stamp - report.started) / 1e9 if report.started else 0.0
-        said = {(finding.rule, finding.device): finding for finding in report.findings}
+        reported = {(finding.rule, finding.device): finding for finding in report.findings}
         self._entries = {key: one._replace(stands=False, read_s=None)
                          for key, one in self._entries.items()}
-        if _SILENT in said:
+        if _SILENT in reported:
             self._rates = self._rates if _SILENT in self._entries else len(report.tried)
         elif report.is_answered and len(report.tried) > self._rates:
             self._entries.pop(_SILENT, None)           # it searched, and has found them
-        for key, finding in said.items():
+        for key, finding in reported.items():
             before = self._entries.get(key)
-            self._entries[key] = Logged(
+            self._entries[key] = LoggedFinding(
                 finding, before.first_s if before else now_s, now_s, True,
                 max(0, finding.read_at - report.started) / 1e9 if finding.read_at else None)
         self.last = report
 
-    def entries(self) -> list[Logged]:
+    def entries(self) -> list[LoggedFinding]:
         """Return the findings: the worst first, then those that still stand, causes first."""
         return sorted((one for one in self._entries.values() if not self._is_explained(one)),
                       key=lambda one: (-one.finding.level, not one.stands,
                                        RANKS[one.finding.rule]))
 
-    def _is_explained(self, one: Logged) -> bool:
+    def _is_explained(self, one: LoggedFinding) -> bool:
         """Tell whether another finding accounts for one that is over."""
         return not one.stands and any(accounts_for(cause.finding, one.finding)
                                       for cause in self._entries.values())
@@ -78,11 +78,11 @@ class BusSummary(NamedTuple):
 
     name: str
     report: BusReport
-    logged: tuple[Logged, ...]
+    logged: tuple[LoggedFinding, ...]
 
     @classmethod
     def of(cls, name: str, report: BusReport, log: FindingLog, is_timed: bool) -> BusSummary:
-        """Return what is said of a bus; without times nothing that needs them."""
+        """Return what is reported of a bus; without times nothing that needs them."""
         return cls(name, report, tuple(one for one in log.entries()
                                        if is_timed or one.finding.rule not in NEEDS_TIMES))
 

@@ -34,7 +34,7 @@ class Reading(NamedTuple):
     others: tuple[float | None, ...]
 
 
-class Standing(NamedTuple):
+class StandingClaim(NamedTuple):
     """A claim that stands. stamp: when it was claimed last; reading: None if it is of no value."""
 
     rule: Rule
@@ -45,16 +45,17 @@ class Standing(NamedTuple):
     is_old: bool = False           # so is the reading
 
 
-def claimed(case: Case, rule: Rule, claim: Claim, before: Standing | None) -> Standing:
+def standing_claim(case: Case, rule: Rule, claim: Claim,
+                   before: StandingClaim | None) -> StandingClaim:
     """Return what is claimed now; before: the same as it stood until now."""
     reading = _read_last(case, claim) if claim.rests_on else None
     was_restarted = reading is not None and before is not None and before.has_restarted \
         and before.reading is not None and _is_same(reading, before.reading)
-    return Standing(rule, claim, case.now, reading,
+    return StandingClaim(rule, claim, case.now, reading,
                     was_restarted or _has_restarted(case, claim, reading))
 
 
-def held(case: Case, one: Standing) -> Standing | None:
+def kept_claim(case: Case, one: StandingClaim) -> StandingClaim | None:
     """Return a claim that is not made any more, if what it rests on was not seen since."""
     if one.reading is None or not any(number in case.devices for number in _devices(one.claim)):
         return None
@@ -65,7 +66,7 @@ def held(case: Case, one: Standing) -> Standing | None:
                         or _has_restarted(case, one.claim, now))
 
 
-def dated(case: Case, one: Standing) -> Standing:
+def dated_claim(case: Case, one: StandingClaim) -> StandingClaim:
     """Return a standing claim whose message says of when its value is, if that is not now."""
     reading = one.reading
     if reading is None:
@@ -112,9 +113,9 @@ def _is_same(one: Reading, other: Reading) -> bool:
 
 def _has_restarted(case: Case, claim: Claim, reading: Reading | None) -> bool:
     """Tell whether a device was told to restart after a reading."""
-    return reading is not None and ev.REBOOTED in case.seen and any(
+    return reading is not None and ev.REBOOTED in case.incidents_by_kind and any(
         one.stamp > reading.stamp and one.device in _devices(claim)
-        for one in case.seen[ev.REBOOTED])
+        for one in case.incidents_by_kind[ev.REBOOTED])
 
 
 def _devices(claim: Claim) -> tuple[int, ...]:

@@ -20,7 +20,7 @@ from servobus.bus.report import BusReport
 from servobus.bus.report import DeviceReport
 from servobus.doctor.case import Names
 from servobus.doctor.facts import is_rate_search
-from servobus.doctor.rules.devices import latched
+from servobus.doctor.rules.devices import latched_error
 from servobus.doctor.rules.noise import NO_PACKETS
 
 _DAMAGED_WARN_PER_S = 1.0
@@ -32,7 +32,7 @@ LISTED_AS = {words.CONNECTED: 'answers', words.EXPECTED: 'expected, never heard'
              words.ASKED: 'asked, never heard', words.SILENT: 'not asked at present'}
 
 
-def judged(report: BusReport, settings: Settings, names: Names) -> BusReport:
+def judge_states(report: BusReport, settings: Settings, names: Names) -> BusReport:
     """Return a report with the state, level and message of each device and of the bus."""
     if is_rate_search(report):      # a search: most answers are missed
         settings = settings._replace(warn_loss=100.0)
@@ -73,7 +73,7 @@ def _never_heard(device: DeviceReport) -> tuple[str, Level, str]:
 
 
 def _degraded(device: DeviceReport, settings: Settings) -> tuple[Level, str]:
-    fault = latched(device)
+    fault = latched_error(device)
     window = device.window
     if fault is not None:
         return fault.level or Level.ERROR, fault.message

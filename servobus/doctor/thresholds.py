@@ -8,7 +8,6 @@ WINDOW_S = 10.0                    # what is older says nothing of now
 WINDOW_NS = int(WINDOW_S * NS_PER_S)
 INCIDENTS_MIN = 3                  # that show a cause: one or two of a kind happen by chance
 GONE_S = 1.5                       # unanswered for so long: gone, rather than starting again
-PROGRAM_RATES_MAX = 3              # a program sets two and that of the port; more are a search
 SUPPLY_MIN_DEVICES = 3             # as many have the same trouble: it is their supply
 TURN_STEPS = 4096                  # in models of X and MX (e-Manual)
 STILL_MAX_STEPS = 6                # a joint that holds its place is read within so many

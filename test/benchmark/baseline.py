@@ -62,7 +62,7 @@ def field_cells(scene):
     def heard():
         for report, since in score.reports(scene, rig):
             if since is None or since <= ENOUGH_TRAFFIC_S:
-                log.take(report)
+                log.add_report(report)
             yield report, since
     result = score.compare(scene, rig, heard(), score.BOOT)
     told = tuple((one.finding.rule, one.finding.device) for one in log.entries())

@@ -18,13 +18,14 @@ from rigs.bus.score import reports
 from rigs.bus.wrecked import KINDS
 from rigs.bus.wrecked import PROGRAMS
 from rigs.bus.wrecked import scene_of
-from servobus.doctor import bits
+from servobus.doctor import bit_errors
 
 KNOWN = (1, 2, 3)                  # the limits were set with these seeds
 BLIND = (2301, 2302, 2303, 2304)   # and not with these
 SECONDS = 9
-_LOOKS = {bits.CLOCK: wrecked.CLOCK, bits.SIGNAL_LEVEL: wrecked.LEVEL, bits.PWM: wrecked.PWM,
-          bits.INTERFERENCE: wrecked.INTERFERENCE, bits.TWO_SENDERS: wrecked.SPEAKERS}
+_LOOKS = {bit_errors.CLOCK: wrecked.CLOCK, bit_errors.SIGNAL_LEVEL: wrecked.LEVEL,
+          bit_errors.PWM: wrecked.PWM, bit_errors.INTERFERENCE: wrecked.INTERFERENCE,
+          bit_errors.TWO_SENDERS: wrecked.SPEAKERS}
 _RULES = {'turnaround': wrecked.TURN, 'stray_bytes': wrecked.STRAY}
 
 

@@ -65,10 +65,10 @@ def hardware_error(_: Case, device: DeviceReport) -> Found | None:
 
     Do: remove the cause, then Reboot (Dynamixel 2.0).
     """
-    return None if device.last_error.endswith(_OF_SUPPLY) else latched(device)
+    return None if device.last_error.endswith(_OF_SUPPLY) else latched_error(device)
 
 
-def latched(device: DeviceReport) -> Claim | None:
+def latched_error(device: DeviceReport) -> Claim | None:
     """Return the hardware error of a device, by its alert bit."""
     is_2 = device.protocol == words.PROTOCOL_2
     if not device.alert or not device.window.alerts \
@@ -164,29 +164,29 @@ def voltage(case: Case) -> Claims:
     unknown, pinged = [], []
     found = []
     for device in case.report.devices:
-        said = latched(device) if device.last_error.endswith(_OF_SUPPLY) else None
+        error = latched_error(device) if device.last_error.endswith(_OF_SUPPLY) else None
         # An error bit of now says more than a value of then.
-        volts = last_read(case, device, SUPPLY[0], WINDOW_S if said else inf)
-        if said and device.totals.answers == device.totals.pongs:
+        volts = last_read(case, device, SUPPLY[0], WINDOW_S if error else inf)
+        if error and device.totals.answers == device.totals.pongs:
             pinged.append(device.id)
-        elif said and (volts is None or volts < ALIVE_MIN_VOLTS):
-            found.append(said)
+        elif error and (volts is None or volts < ALIVE_MIN_VOLTS):
+            found.append(error)
         if volts is None or volts < ALIVE_MIN_VOLTS:
             continue
         low, source = limit_of(case, device, 'Min Voltage Limit', 'low')
         high, _ = limit_of(case, device, 'Max Voltage Limit', 'high')
-        if low is None and high is None and not said and device.model.number is not None:
+        if low is None and high is None and not error and device.model.number is not None:
             unknown.append(device.id)
         if low is not None and volts < low + NEAR_VOLTS:
-            found.append(_supply(device, volts, volts < low, f'below its limit of {low:.1f} V'
-                                 f'{source}: charge the battery, check cable gauge and the load '
-                                 'on the chain'))
+            found.append(_supply_claim(
+                device, volts, volts < low, f'below its limit of {low:.1f} V{source}: charge the '
+                'battery, check cable gauge and the load on the chain'))
         elif high is not None and volts > high - NEAR_VOLTS:
-            found.append(_supply(device, volts, volts > high, f'above its limit of {high:.1f} V'
-                                 f'{source}: lower the supply voltage, or use a supply that '
-                                 'takes the braking current'))
-        elif said:
-            found.append(said._replace(figures={'voltage (V)': f'{volts:.1f}'}))
+            found.append(_supply_claim(
+                device, volts, volts > high, f'above its limit of {high:.1f} V{source}: lower the '
+                'supply voltage, or use a supply that takes the braking current'))
+        elif error:
+            found.append(error._replace(figures={'voltage (V)': f'{volts:.1f}'}))
     yield from found
     if len(found) >= SUPPLY_MIN_DEVICES:
         yield Claim(f'{len(found)} devices near or beyond a voltage limit: the supply is '
@@ -202,7 +202,7 @@ def voltage(case: Case) -> Claims:
                     'an echo of the adapter, or a voltage error; read a register')
 
 
-def _supply(device: DeviceReport, volts: float, is_beyond: bool, where: str) -> Claim:
+def _supply_claim(device: DeviceReport, volts: float, is_beyond: bool, where: str) -> Claim:
     return Claim(f'its supply is near or {where}', {'voltage (V)': f'{volts:.1f}'},
                  _level(is_beyond), device=device.id, rests_on=SUPPLY)
 

@@ -22,11 +22,11 @@ from servobus.bus.unread import HUNG_NS
 from servobus.doctor.case import Case
 from servobus.doctor.case import is_waiting
 from servobus.doctor.case import Sample
-from servobus.doctor.facts import ended_on
+from servobus.doctor.facts import fatal_late_answer
+from servobus.doctor.facts import fatal_wait
 from servobus.doctor.facts import is_off
 from servobus.doctor.facts import is_rate_search
 from servobus.doctor.facts import is_watched
-from servobus.doctor.facts import read_late
 from servobus.doctor.rule import about
 from servobus.doctor.rule import Claim
 from servobus.doctor.rule import Claims
@@ -81,10 +81,10 @@ def brown_out(case: Case) -> Claims:
         together += [other for number, device in case.devices.items()
                      if number != last.device and device.window.not_served and not device.alert
                      and (_restart_proof(case, other := replace(last, device=number))
-                          or _dip(case, number))]
+                          or _voltage_dip(case, number))]
     ids = sorted({one.device for one in together})
     proofs = [proof for one in together if (proof := _restart_proof(case, one) or
-                                            _dip(case, one.device))]
+                                            _voltage_dip(case, one.device))]
     if len(ids) > 1 and proofs:
         yield Claim(f'{listed(ids, 2)} restarted together ({proofs[0]}): the supply failed; '
                     'check battery and cables, set up again',
@@ -107,7 +107,7 @@ def _was_with_all(case: Case, back: Incident[ev.SilentFor], ids: list[int]) -> b
         and not any(one.is_spoilt for one in waits) and len({one.device for one in waits}) > 1
 
 
-def _dip(case: Case, number: int) -> str:
+def _voltage_dip(case: Case, number: int) -> str:
     voltages = [one.voltage for one in case.samples.get(number, ()) if one.voltage]
     if voltages and min(voltages) < DIP_MAX_SHARE * voltages[-1]:
         return f'{number:03} measured {min(voltages):.1f} V before, {voltages[-1]:.1f} V now'
@@ -125,7 +125,7 @@ def all_silent(case: Case) -> Claims:
     Do: switch their power on, check the first cable; if the robot moves, connect the monitor
     to the data line.
     """
-    asked, heard = case.counted('instructions', GONE_S), case.counted('answers', GONE_S)
+    asked, heard = case.increase_of('instructions', GONE_S), case.increase_of('answers', GONE_S)
     missing = [device.id for device in case.report.devices
                if device.missed_in_a_row or is_waiting(device)]
     figures = {'instructions': asked or case.report.counters['Instructions']}     # or too short
@@ -203,7 +203,7 @@ def sync_read_stops(case: Case) -> Claims:
 
     Do: repair this one first, or take it out of the list.
     """
-    return _gone(case, True)
+    return _claim_silent(case, True)
 
 
 @Rule(level=Level.ERROR, holds=False,
@@ -217,15 +217,15 @@ def no_answer(case: Case) -> Claims:
 
     Do: check power, plug, ID, baud rate.
     """
-    yield from _gone(case, False)
-    yield from _at_the_end(case)
+    yield from _claim_silent(case, False)
+    yield from _claim_at_the_end(case)
     for device in case.report.devices:
         if device.state == words.EXPECTED and device.last_heard_s is None \
                 and not (device.window.asked or device.window.not_served):
             yield Doubt(f'in {case.names.devices}, but the master never asks it', device.id)
 
 
-def _gone(case: Case, blocking: bool) -> Claims:
+def _claim_silent(case: Case, blocking: bool) -> Claims:
     hurries = _hurries(case)
     for number in case.gone:
         after = [device.id for device in case.report.devices
@@ -243,33 +243,33 @@ def _claim_gone(case: Case, number: int) -> Claim:
         else f'silent for {longer_than(device.last_heard_s)}' if number in case.gone \
         else f'though it gave {device.totals.answers} before, and the program ended there'
     others = ', others answer' if any(
-        case.lately(other, GONE_S).answers for other in case.report.devices) else ''
+        case.recent_counts(other, GONE_S).answers for other in case.report.devices) else ''
     what = 'cable and ID' if device.last_heard_s is not None else 'cable, ID and baud rate' if any(
         other.totals.answers for other in case.report.devices) else f'cable and ID{_OF_THE_MASTER}'
     return Claim(f'no answer, {since}{others}: check its power, {what}',
                  {'requests without an answer': device.missed_in_a_row,
-                  **_waiting(case, number)}, device=number)
+                  **_wait_figures(case, number)}, device=number)
 
 
 def _claim_blocking(case: Case, number: int, after: list[int]) -> Claim:
     return Claim(f'silent, and the Sync Read ends there: {listed(after, 2)} after it are '
                          'never read; check its power and cable, or leave it out',
-                 {'not served': in_full(after), **_waiting(case, number)}, device=number)
+                 {'not served': in_full(after), **_wait_figures(case, number)}, device=number)
 
 
-def _waiting(case: Case, number: int) -> dict[str, str]:
+def _wait_figures(case: Case, number: int) -> dict[str, str]:
     """Return what each request without an answer costs the master."""
     waits = [one.us for one in case.report.waits if one.device == number]
     return {'wait per request (ms)': f'{median(waits) / 1000:.1f}'} if waits else {}
 
 
-def _at_the_end(case: Case) -> Claims:
+def _claim_at_the_end(case: Case) -> Claims:
     """Look at the question on which a program ended by itself, with an error."""
-    yield from _unacknowledged(case)
-    if read_late(case):
+    yield from _claim_unacknowledged(case)
+    if fatal_late_answer(case):
         return
-    yield from _left_open(case)
-    last, fatal = case.last_wait, ended_on(case)
+    yield from _claim_left_open(case)
+    last, fatal = case.last_wait, fatal_wait(case)
     if case.report.failed and fatal is None and last is not None and not last.is_spoilt:
         yield Doubt('the last question got no answer; whether the program ended for '
                     'that is unknown: it went on after earlier ones, or only searched',
@@ -293,7 +293,7 @@ def _is_late(case: Case, device: DeviceReport) -> bool:
         device.last_heard_s is not None and not device.totals.answers)
 
 
-def _left_open(case: Case) -> Claims:
+def _claim_left_open(case: Case) -> Claims:
     """Look at what a program waited for when it was heard last."""
     hung = [(one.device, one.detail.us / 1e6) for one in case.incidents(ev.HUNG)]
     last = case.last_wait
@@ -315,7 +315,7 @@ def _is_used(device: DeviceReport) -> bool:
     return bool(totals.reads or totals.writes or totals.data_missed or device.acks_missing)
 
 
-def _unacknowledged(case: Case) -> Claims:
+def _claim_unacknowledged(case: Case) -> Claims:
     """Look for devices that were only written to, and never heard."""
     failed, is_over = case.report.failed, case.report.is_over
     if is_over and not failed and not case.report.is_answered \
@@ -535,12 +535,12 @@ def ping_only(case: Case, device: DeviceReport) -> Found | None:
 
 def _is_ping_only(case: Case, device: DeviceReport) -> bool:
     """Tell whether it answers Pings, and nothing but Pings, while data are asked for."""
-    last, totals = ended_on(case), device.totals
+    last, totals = fatal_wait(case), device.totals
     if last is not None and last.device == device.id and last.instruction != Instruction.PING \
             and totals.answers == totals.pongs > 0:
         return True
     is_since = device.id in case.gone and totals.data_missed == totals.missed   # no Ping was
-    asked, least = (totals, 1) if is_since else (case.lately(device, GONE_S), 2)
+    asked, least = (totals, 1) if is_since else (case.recent_counts(device, GONE_S), 2)
     return asked.answers == asked.pongs >= least and not asked.spoilt \
         and asked.data_missed >= INCIDENTS_MIN
 

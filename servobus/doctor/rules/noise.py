@@ -21,7 +21,7 @@ from servobus.bus import report as words
 from servobus.bus.report import DeviceReport
 from servobus.doctor.case import Case
 from servobus.doctor.facts import is_collision
-from servobus.doctor.facts import laid_over_answers
+from servobus.doctor.facts import is_overlaid
 from servobus.doctor.facts import may_overlap
 from servobus.doctor.facts import ran_into_answers
 from servobus.doctor.rule import about
@@ -55,8 +55,9 @@ ECHO_MIN_INSTRUCTIONS = 5
 ECHO_MIN_SHARE = 0.1               # share of the instructions: some run into answers
 ECHO_MAX_US = 100                  # from an instruction to its echo
 PACKETS_BY_CHANCE = 0.005          # at most this share of bytes is packets at a wrong rate
-WRONG_BAUD_MIN_BYTES = 300
-LOAD_IMPOSSIBLE_PERCENT = 120.0    # wire time; a source with a wrong clock reaches less
+WRONG_BAUD_MIN_BYTES = 300         # as many are no noise
+WRONG_BAUD_WINDOW_S = 2.0
+LOAD_IMPOSSIBLE_PERCENT = 120.0    # wire time that no bus of this rate has
 BURST_NS = NS_PER_S                # a source may hand over so much wire time late
 AFTER_WRITE_S = 0.5                # an acknowledgement and a write to Lock may follow
 COMMON_RATES = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
@@ -81,10 +82,11 @@ def wrong_baud(case: Case) -> Claims:
     Do: set `bauds`, or the rate of the program.
     """
     report = case.report
-    got, good, errors = (case.counted(name, 2.0) for name in ('bytes', 'packet_bytes', 'framing'))
+    got, good, errors = (case.increase_of(name, WRONG_BAUD_WINDOW_S)
+                         for name in ('bytes', 'packet_bytes', 'framing'))
     if not report.baud:                # it is still to be learned
         return
-    if (load := _load(case)) > LOAD_IMPOSSIBLE_PERCENT:
+    if (load := _load_percent(case)) > LOAD_IMPOSSIBLE_PERCENT:
         yield Claim(f'more bytes than {report.baud} Bd can carry: the bus is faster; set '
                     f'{case.names.bauds} to its rate', {'load (%)': f'{load:.0f}'})
         return
@@ -102,7 +104,7 @@ def wrong_baud(case: Case) -> Claims:
                 {'bytes': got, 'framing errors': errors})
 
 
-def _load(case: Case) -> float:
+def _load_percent(case: Case) -> float:
     """Return the share of wire time since the start (%), 0 where it may be a burst, or an echo."""
     report = case.report
     heard_ns = max(1, case.now - report.started)
@@ -114,22 +116,22 @@ def _load(case: Case) -> float:
 
 def likely_rate(noise: bytes, baud: int) -> int | None:
     """Return the Dynamixel rate at which headers look like these bytes; None if unsure."""
-    counts = {rate: noise.count(look) for rate, look in _looks(baud).items()}
-    best = max(counts, key=lambda rate: (counts[rate], len(_looks(baud)[rate])))
+    counts = {rate: noise.count(look) for rate, look in _headers_at_rates(baud).items()}
+    best = max(counts, key=lambda rate: (counts[rate], len(_headers_at_rates(baud)[rate])))
     rivals = [rate for rate in counts if counts[rate] == counts[best]
-              and len(_looks(baud)[rate]) == len(_looks(baud)[best])]
+              and len(_headers_at_rates(baud)[rate]) == len(_headers_at_rates(baud)[best])]
     return best if counts[best] >= RATE_MIN_HEADERS and len(rivals) == 1 else None
 
 
 @lru_cache(maxsize=16)
-def _looks(baud: int) -> dict[int, bytes]:
+def _headers_at_rates(baud: int) -> dict[int, bytes]:
     """Return what the first bytes of a packet look like, for each rate the bus may have."""
-    looks = {rate: _look(baud / rate) for rate in COMMON_RATES if rate != baud}
+    looks = {rate: _header_at(baud / rate) for rate in COMMON_RATES if rate != baud}
     return {rate: look for rate, look in looks.items() if len(look) >= RATE_MIN_BYTES} \
         or {baud: HEADER}
 
 
-def _look(ratio: float) -> bytes:
+def _header_at(ratio: float) -> bytes:
     """Return the bytes that are the same for every ID after the header."""
     looks = [heard_at(HEADER + bytes([number, 4, 0]), ratio) for number in (1, 0x55, 0xFE)]
     same = 0
@@ -147,7 +149,7 @@ def overrun(case: Case) -> Claims:
 
     Do: raise the monitor's priority, use a better adapter.
     """
-    lost = case.counted('overruns')
+    lost = case.increase_of('overruns')
     if lost > 0:
         yield Claim(f'this computer lost bytes {lost} times, so packets seem missing or '
                     'damaged: give the monitor a higher priority or a better adapter',
@@ -163,7 +165,7 @@ def baud_moved(case: Case, device: DeviceReport) -> Found | None:
 
     Do: change it back, or change all the others.
     """
-    code = _written(case, device, 'Baud Rate')
+    code = _value_written(case, device, 'Baud Rate')
     to = device.moved_to or (f'code {code}' if code >= 0 else '')
     if not to or to.startswith(words.NEW_ID) or not (code >= 0 or device.state == words.MOVED):
         return None
@@ -181,7 +183,7 @@ def id_moved(case: Case, device: DeviceReport) -> Found | None:
 
     Do: use the new ID in the program.
     """
-    number = _written(case, device, 'ID')
+    number = _value_written(case, device, 'ID')
     to = device.moved_to if device.state == words.MOVED else f'{words.NEW_ID}{number:03}'
     if not to.startswith(words.NEW_ID) or (to != device.moved_to and number in (-1, device.id)):
         return None
@@ -189,7 +191,7 @@ def id_moved(case: Case, device: DeviceReport) -> Found | None:
                  f'{device.id:03}: use the new ID in the program')
 
 
-def _written(case: Case, device: DeviceReport, name: str) -> int:
+def _value_written(case: Case, device: DeviceReport, name: str) -> int:
     """Return what was written, where no model was known then and it says nothing since; or -1."""
     one = case.values[device.id].get(name)
     is_gone = device.id in case.gone or (
@@ -243,7 +245,7 @@ def echo(case: Case) -> Claims:
     """
     if case.report.has_sides:          # what it says twice it says itself
         least = ECHO_MIN_INSTRUCTIONS
-        heard_back, asked = case.counted('echoes'), case.counted('instructions')
+        heard_back, asked = case.increase_of('echoes'), case.increase_of('instructions')
         if case.report.failed:         # it may have ended on the first
             least, heard_back, asked = 1, case.report.kinds.get(ev.ECHO, 0), \
                 case.report.counters['Instructions']
@@ -288,7 +290,7 @@ def duplicate_id(case: Case, device: DeviceReport) -> Found | None:
     also = ', by two models' if window.model_changes >= 2 else ''
     return Claim(f'answered twice{also}: two devices have this ID; unplug one and '
                  'change the ID of the other',
-                 {**case.looks_like(device),
+                 {**case.damage_picture(device),
                   'second answers': twice,
                   'damaged': window.spoilt,
                   'model changes': window.model_changes})
@@ -358,13 +360,13 @@ def turnaround(case: Case) -> Claims:
     total = sum(_first_bytes(one) for one in touched)
     beheaded = sum(device.window.beheaded for device in touched)
     if (total - beheaded <= FIRST_BYTE_BY_CHANCE * case.damage and beheaded <= case.damage) \
-            or laid_over_answers(case):
+            or is_overlaid(case):
         return
     if hit and len(touched) > 2 and max(map(_first_bytes, touched)) < ONE_DEVICE_MIN_SHARE * total:
         hit = touched
         first = sum(_first_bytes(device) for device in hit)
-        stray = case.counted('glitches')
-        answers = sum(_spoken(device) for device in hit)
+        stray = case.increase_of('glitches')
+        answers = sum(_answers_heard(device) for device in hit)
         yield Claim(f'first byte of {share(first, answers)} of the answers damaged, '
                     f'{len(hit)} devices: the line switches too late; raise Return Delay '
                     'Time or correct the driver enable',
@@ -374,7 +376,7 @@ def turnaround(case: Case) -> Claims:
         return
     for device in hit:
         first = _first_bytes(device)
-        yield Claim(f'first byte of {share(first, _spoken(device))} of its answers '
+        yield Claim(f'first byte of {share(first, _answers_heard(device))} of its answers '
                     'damaged: it answers before the line switches; raise its Return Delay Time by '
                     'a step or two', {'answers': first}, device=device.id)
 
@@ -384,7 +386,7 @@ def _first_bytes(device: DeviceReport) -> int:
     return device.window.repaired + device.window.beheaded
 
 
-def _spoken(device: DeviceReport) -> int:
+def _answers_heard(device: DeviceReport) -> int:
     """Return how many answers came: those of 1.0 without their first byte were missed."""
     return device.window.answers + device.window.beheaded
 
@@ -431,7 +433,7 @@ def _noise_claims(case: Case) -> Claims:
     share_of = about(case.damage, packets + case.damage)
     yield Claim(f'{share_of} of the packets damaged, {way}, of '
                 'several devices: check termination, ground, shielding and motor cables',
-                {**case.looks_like(),
+                {**case.damage_picture(),
                  'share': share(case.damage, packets + case.damage),
                  'damaged instructions': asked,
                  'devices': in_full(hit)})
@@ -481,7 +483,7 @@ def damaged_answers(case: Case) -> Claims:
         device.window.answers for device in case.report.devices if device is not worst) else ''
     yield Claim(f'{about(window.spoilt, window.asked)} of its answers damaged{others}: '
                 'a bad cable or a second device with its ID; unplug it and ping its ID',
-                {**case.looks_like(worst),
+                {**case.damage_picture(worst),
                  'share': share(window.spoilt, window.asked),
                  'damaged': f'{window.spoilt} of {window.asked}'}, device=worst.id)
 
@@ -512,7 +514,7 @@ def stray_bytes(case: Case) -> Claims:
 
     Do: add bias resistors.
     """
-    stray = case.counted('glitches')
+    stray = case.increase_of('glitches')
     packets = case.packets
     if stray >= STRAY_MIN_PACKETS and stray > STRAY_MIN_SHARE * packets:
         yield Claim(f'one or two stray bytes before {share(stray, packets)} of the packets: '

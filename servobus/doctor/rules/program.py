@@ -25,7 +25,7 @@ from servobus.bus.report import DeviceReport
 from servobus.doctor.case import Case
 from servobus.doctor.case import Names
 from servobus.doctor.facts import ACCESS_ERROR
-from servobus.doctor.facts import ended_on
+from servobus.doctor.facts import fatal_wait
 from servobus.doctor.facts import INSTRUCTION_ERROR
 from servobus.doctor.facts import LENGTH_ERROR
 from servobus.doctor.facts import LIMIT_ERROR
@@ -179,8 +179,8 @@ def eeprom_locked(case: Case, device: DeviceReport) -> Found | None:
     """
     torque = case.values[device.id].get('Torque Enable')
     # Where it is on, that explains one.
-    least = _enough(case, device, INCIDENTS_MIN) if torque is None else 1
-    for (instruction, address, error), count in _refused(case, device).items():
+    least = _least_refusals(case, device, INCIDENTS_MIN) if torque is None else 1
+    for (instruction, address, error), count in _refusals_of(case, device).items():
         if count >= least and instruction in SINGLE_WRITES and _is_locked(device, address, error) \
                 and (torque is None or torque.value.raw):
             name = device.model.by_address[address].name
@@ -209,7 +209,7 @@ def wrong_address(case: Case, device: DeviceReport) -> Found | None:
                     if one.detail.error in (ACCESS_ERROR, LENGTH_ERROR, RANGE_ERROR)
                     and not _is_locked(device, *one.detail[1:]))
     for (address, error), count in found.most_common(1):
-        if count >= _enough(case, device, INCIDENTS_MIN):
+        if count >= _least_refusals(case, device, INCIDENTS_MIN):
             return Claim(f'address {address} refused {count} times '
                          f'({error_text(error)}): {_what_is_there(device, address, error)}',
                          {'refused': count})
@@ -243,7 +243,7 @@ def goal_limits(case: Case, device: DeviceReport) -> Found | None:
                     if one.detail.error == LIMIT_ERROR and one.detail.instruction in SINGLE_WRITES)
     for address, count in found.most_common(1):
         field = device.model.by_address.get(address)
-        if count >= _enough(case, device, GOALS_BEYOND_MIN):
+        if count >= _least_refusals(case, device, GOALS_BEYOND_MIN):
             name = field.name if field else f'address {address}'
             return Claim(f'value for {name} refused, beyond its limits: keep goals '
                          'within these, or set wider ones (as Max Position Limit)',
@@ -300,7 +300,7 @@ def refused(case: Case, device: DeviceReport) -> Found | None:
     """
     if device.model.number is not None:
         return None
-    for (instruction, address, error), count in _refused(case, device).most_common(1):
+    for (instruction, address, error), count in _refusals_of(case, device).most_common(1):
         if count >= INCIDENTS_MIN and address >= 0:
             return Claim(f'refuses {name_of(instruction)} at {address} '
                          f'({error_text(error)}): set its model in {case.names.devices} to learn '
@@ -308,12 +308,12 @@ def refused(case: Case, device: DeviceReport) -> Found | None:
     return None
 
 
-def _refused(case: Case, device: DeviceReport) -> Counter[ev.Refusal]:
+def _refusals_of(case: Case, device: DeviceReport) -> Counter[ev.Refusal]:
     """Return what it refused in the window."""
     return Counter(one.detail for one in case.incidents(ev.REFUSED, device))
 
 
-def _enough(case: Case, device: DeviceReport, few: int) -> int:
+def _least_refusals(case: Case, device: DeviceReport, few: int) -> int:
     """Return how many refusals say something: one on which a program ended does."""
     found = case.incidents(ev.REFUSED, device)
     return 1 if case.report.failed and found and found[-1].stamp >= case.report.asked else few
@@ -359,7 +359,7 @@ def scan(case: Case) -> Claims:
         if cycle.instruction == Instruction.PING and cycle.ids == (BROADCAST,)]))
     collide = case.damage >= INCIDENTS_MIN
     if pings >= SCAN_MIN_PINGS or (collide and pings >= INCIDENTS_MIN
-                                   and pings > SCAN_MIN_SHARE * case.counted('instructions')):
+                                   and pings > SCAN_MIN_SHARE * case.increase_of('instructions')):
         yield Claim('the master sends broadcast Pings without a '
                     f"pause{', and the answers collide' if collide else ''}: let it wait "
                     '0.8 s after each, the time that all IDs need',
@@ -439,10 +439,10 @@ def no_acks(case: Case, device: DeviceReport) -> Found | None:
 
     Do: nothing, if the master knows; else level 2.
     """
-    last = ended_on(case)
+    last = fatal_wait(case)
     has_ended = last is not None and last.device == device.id and device.acks is None \
         and last.instruction in SINGLE_WRITES and device.totals.answers > device.totals.pongs
-    if not has_ended and (not case.lately(device, ANSWERS_OTHERWISE_S).answers
+    if not has_ended and (not case.recent_counts(device, ANSWERS_OTHERWISE_S).answers
                           or device.missed_in_a_row > ACKS_MISSING_MIN):
         return None                            # it answers nothing at present
     are_missing = device.acks_missing >= ACKS_MISSING_MIN
@@ -509,7 +509,7 @@ def _fast_read(case: Case, device: DeviceReport, cycle: Cycle) -> Found | None:
     refused = sum(one.detail.instruction in FAST_READS and one.detail.error == INSTRUCTION_ERROR
                   for one in case.incidents(ev.REFUSED, device))
     is_able = device.firmware is not None and not _lacks_fast_reads(device) \
-        and case.lately(device, ANSWERS_OTHERWISE_S).answers < INCIDENTS_MIN
+        and case.recent_counts(device, ANSWERS_OTHERWISE_S).answers < INCIDENTS_MIN
     if refused < INCIDENTS_MIN and (is_able or not device.totals.answers):
         return None                            # perhaps it is not there
     firmware = '' if device.firmware is None else f', firmware {device.firmware}'
@@ -547,18 +547,18 @@ def sync_read_unsupported(case: Case) -> Claims:
     for cycle in case.report.cycles:
         if cycle.instruction == Instruction.SYNC_READ \
                 and case.times_asked(cycle, ANSWERS_OTHERWISE_S) >= INCIDENTS_MIN and (
-                    not is_feetech or _answer_all_else(case, cycle)):
+                    not is_feetech or _answer_single_reads(case, cycle)):
             yield Claim('the master sends Sync Reads, which Dynamixel has in Protocol 2.0 '
                         'only, and Feetech SCS not at all: none is answered, other instructions '
                         'are; read one after the other',
                         {'Sync Reads': cycle.asked})
 
 
-def _answer_all_else(case: Case, cycle: Cycle) -> bool:
+def _answer_single_reads(case: Case, cycle: Cycle) -> bool:
     """Tell whether Feetech servos may lack Sync Read: each answers, and never this one."""
     members = [case.devices[number] for number in cycle.ids if number in case.devices]
     return cycle.missed >= cycle.asked - 1 and bool(members) and all(
-        case.lately(one, ANSWERS_OTHERWISE_S).answers >= INCIDENTS_MIN
+        case.recent_counts(one, ANSWERS_OTHERWISE_S).answers >= INCIDENTS_MIN
         and not one.model_name.startswith(HAVE_SYNC_READ) for one in members)
 
 

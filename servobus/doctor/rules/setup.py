@@ -146,7 +146,7 @@ def layout(case: Case, device: DeviceReport) -> Found | None:
         first = device.model.by_address.get(cycle.address)
         is_low_byte = first is not None and first.at == cycle.address not in _OTHER_SERIES \
             and cycle.length == 1 and cycle.instruction == Instruction.WRITE
-        unfit = _unfit(device.model, cycle.address, cycle.length)
+        unfit = _why_unfit(device.model, cycle.address, cycle.length)
         if unfit and not is_low_byte:      # which is enough for a small number
             return Claim(f'{name_of(cycle.instruction)} of {cycle.length} at '
                          f'{cycle.address}, {unfit}: use the table of {device.model_name}',
@@ -154,7 +154,7 @@ def layout(case: Case, device: DeviceReport) -> Found | None:
     return None
 
 
-def _unfit(model: Model, begin: int, length: int) -> str:
+def _why_unfit(model: Model, begin: int, length: int) -> str:
     """Return why an access does not fit the registers of a model, '' where it does."""
     end = begin + length
     fields = [field for field in model.fields if field.at < TABLE_END]

@@ -29,10 +29,10 @@ from servobus.bus.report import Incident
 from servobus.bus.report import ROBBER
 from servobus.doctor.case import Case
 from servobus.doctor.case import key_of
+from servobus.doctor.facts import fatal_late_answer
 from servobus.doctor.facts import is_collision
-from servobus.doctor.facts import laid_over_answers
+from servobus.doctor.facts import is_overlaid
 from servobus.doctor.facts import ran_into_answers
-from servobus.doctor.facts import read_late
 from servobus.doctor.rhythm import answer_ns
 from servobus.doctor.rhythm import is_independent
 from servobus.doctor.rhythm import is_locked
@@ -114,26 +114,26 @@ def two_masters(case: Case) -> Claims:
         return
     if case.report.has_sides and harm < INCIDENTS_MIN:
         return                                 # one program with two timers, or with a lock
-    pair = _apart(case)
+    pair = _independent_rhythms(case)
     if pair is None:
         for clocks in case.clocks:
             fast, slow = sorted(timer.period / NS_PER_MS for timer in clocks.timers)
-            words = f'{_words(clocks.cycle, fast * NS_PER_MS)} and every {slow:.0f} ms'
+            words = f'{_spell_rhythm(clocks.cycle, fast * NS_PER_MS)} and every {slow:.0f} ms'
             if is_collision(case):
-                yield _two(case, words)
+                yield _claim_two_masters(case, words)
             else:
                 yield Doubt(f'{words}: two programs, or one with two timers')
             return
     else:
-        one, other = pair
-        yield _two(case, f'{_words(one.cycle, one.base)} and {_words(other.cycle, other.base)}')
+        one, other = (_spell_rhythm(rhythm.cycle, rhythm.base) for rhythm in pair)
+        yield _claim_two_masters(case, f'{one} and {other}')
 
 
-def _apart(case: Case) -> tuple[Rhythm, Rhythm] | None:
+def _independent_rhythms(case: Case) -> tuple[Rhythm, Rhythm] | None:
     """Return two instructions that keep time apart from each other."""
     ordered = sorted(case.rhythms, key=attrgetter('base'))
     least = max(BLUR_FACTOR * case.blur_ms, 1.0) * NS_PER_MS
-    if not ordered or (not laid_over_answers(case) and (
+    if not ordered or (not is_overlaid(case) and (
             ordered[0].base <= least or not ordered[0].is_steady)):
         return None
     one, *others = [one for one in ordered if one.is_steady] or ordered[:1]
@@ -149,12 +149,12 @@ def _apart(case: Case) -> tuple[Rhythm, Rhythm] | None:
     return None
 
 
-def _two(case: Case, words: str) -> Claim:
+def _claim_two_masters(case: Case, words: str) -> Claim:
     return Claim(f'{words}: two programs, or two threads without a lock; let only one ask',
                  {'damaged packets': case.damage})
 
 
-def _words(cycle: Cycle, period: float) -> str:
+def _spell_rhythm(cycle: Cycle, period: float) -> str:
     whom = f'{cycle.ids[0]:03}' if len(cycle.ids) == 1 else f'{len(cycle.ids)} IDs'
     at = f' at {cycle.address}' if cycle.address is not None else ''
     return f'{name_of(cycle.instruction)} of {whom}{at} every {period / NS_PER_MS:.0f} ms'
@@ -178,7 +178,7 @@ def impatient_master(case: Case) -> Claims:
     again.update(one.detail.instruction for one in _hidden_repeats(case))
     again.update(one.detail.instruction for one in _repeats_into_answers(case))
     # After a stray byte it asks once more.
-    if again.total() >= INCIDENTS_MIN + case.counted('glitches'):
+    if again.total() >= INCIDENTS_MIN + case.increase_of('glitches'):
         worst = again.most_common(1)[0][0]
         words = f'the master repeats {name_of(worst)} at once, {again.total()} times in 10 s'
         yield Doubt(f'{words}, though it got whole answers: its parser may reject them') \
@@ -187,7 +187,8 @@ def impatient_master(case: Case) -> Claims:
                   {'repeated': again.total()})
         return
     if _gives_up_at_once(case) and case.damage >= INCIDENTS_MIN \
-            and any(case.lately(device, WAITS_WINDOW_S).answers for device in case.report.devices):
+            and any(case.recent_counts(device, WAITS_WINDOW_S).answers
+                    for device in case.report.devices):
         yield Claim('the master does not wait for answers and sends during them: it gives '
                     f'up within {FACTORY_DELAY_US} us, before a servo with factory settings '
                     'answers; raise its time-out', {'given up at once': _gives_up_at_once(case)})
@@ -286,7 +287,7 @@ def late_answers(case: Case) -> Claims:
 
     Do: lower Return Delay Time, or raise the time-out.
     """
-    late, fatal = case.incidents(ev.LATE), read_late(case)
+    late, fatal = case.incidents(ev.LATE), fatal_late_answer(case)
     first: Counter[int] = Counter()
     before = 0
     for one in late:
@@ -400,7 +401,7 @@ def bus_too_slow(case: Case) -> Claims:
     Do: raise the baud rate, read less.
     """
     seconds = (case.now - case.mark(LOAD_WINDOW_S).stamp) / NS_PER_S
-    got = case.counted('bytes', LOAD_WINDOW_S)
+    got = case.increase_of('bytes', LOAD_WINDOW_S)
     if seconds < 1.0:
         return
     load = 100 * got * byte_ns(case.report.baud) / NS_PER_S / seconds
@@ -515,10 +516,10 @@ def cycle_time(case: Case) -> Claims:
         yield Claim('most of each cycle is a time-out for its answer: leave '
                     'it out, or shorten the time-out', device=times.waiting[0][0])
     elif times.wire + times.device > most:
-        yield from (Claim(todo) for todo in _faster(case, 2 * NS_PER_MS * times.cycle))
+        yield from (Claim(todo) for todo in _faster_ways(case, 2 * NS_PER_MS * times.cycle))
 
 
-def _faster(case: Case, within_ns: float) -> Iterator[str]:
+def _faster_ways(case: Case, within_ns: float) -> Iterator[str]:
     """Yield what makes the exchanges of a cycle faster; what is asked less often is none."""
     alike = Counter((one.address, one.length) for one in case.report.cycles
                     if one.instruction == Instruction.READ and 2 * one.missed < one.asked

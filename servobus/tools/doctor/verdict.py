@@ -18,11 +18,11 @@ from typing import NamedTuple
 from msg_defs.reports import Level
 from servobus.bus.report import CONNECTED
 from servobus.bus.report import DeviceReport
+from servobus.doctor.facts import is_rate_search
 from servobus.doctor.finding_log import BusSummary
-from servobus.doctor.finding_log import Logged
+from servobus.doctor.finding_log import LoggedFinding
 from servobus.doctor.finding_log import NEEDS_TIMES
 from servobus.doctor.states import LISTED_AS
-from servobus.doctor.thresholds import PROGRAM_RATES_MAX
 from servobus.plain import printable
 from servobus.plain_data import bus_data
 from servobus.plain_data import device_data
@@ -122,7 +122,7 @@ def _head(buses: Sequence[BusSummary], seconds: float, is_timed: bool) -> tuple[
     reports = [bus.report for bus in buses]
     rates = sorted({report.baud for report in reports})
     parts = [f'{" and ".join(map(str, rates))} baud'] if any(rates) else []
-    if any(len(report.tried) > PROGRAM_RATES_MAX for report in reports):
+    if any(map(is_rate_search, reports)):
         parts = ['several baud rates']
     if is_timed:
         parts.append(f'{seconds:.1f} s')
@@ -184,9 +184,9 @@ def _is_slight(device: DeviceReport) -> bool:
     return device.state == CONNECTED and device.level is Level.WARN
 
 
-def _alike(logged: Sequence[Logged]) -> list[list[Logged]]:
+def _alike(logged: Sequence[LoggedFinding]) -> list[list[LoggedFinding]]:
     """Return findings of several devices that say the same together, the others alone."""
-    groups: dict[tuple[str, Level, str, bool], list[Logged]] = {}
+    groups: dict[tuple[str, Level, str, bool], list[LoggedFinding]] = {}
     for one in logged:
         finding = one.finding
         key = finding.rule, finding.level, finding.message, one.stands
@@ -194,7 +194,7 @@ def _alike(logged: Sequence[Logged]) -> list[list[Logged]]:
     return list(groups.values())
 
 
-def _entry(bus: BusSummary, alike: Sequence[Logged]) -> Trouble:
+def _entry(bus: BusSummary, alike: Sequence[LoggedFinding]) -> Trouble:
     first = alike[0].finding
     who = bus.who(first.device)
     if len(alike) > 1:
@@ -205,7 +205,7 @@ def _entry(bus: BusSummary, alike: Sequence[Logged]) -> Trouble:
     return Trouble(first.level, who, first.rule, printable(first.message), _evidence(alike[0]))
 
 
-def _evidence(one: Logged) -> str:
+def _evidence(one: LoggedFinding) -> str:
     """Return the figures of a finding, and its time, as one sentence."""
     figures = [f'{key} {value}' for key, value in one.finding.evidence]
     when = f'seen from {one.first_s:.1f} to {one.last_s:.1f} s, not since' if not one.stands \
@@ -225,7 +225,7 @@ def as_json(verdict: Verdict, buses: Sequence[BusSummary], seconds: float) -> di
             'findings': [_finding_json(one, bus) for one in bus.logged]} for bus in buses]}
 
 
-def _finding_json(one: Logged, bus: BusSummary) -> dict[str, Any]:
+def _finding_json(one: LoggedFinding, bus: BusSummary) -> dict[str, Any]:
     finding = one.finding
     return {**finding_data(finding), 'who': bus.who(finding.device),
             'first_s': round(one.first_s, 3), 'last_s': round(one.last_s, 3), 'stands': one.stands,

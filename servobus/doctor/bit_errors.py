@@ -54,7 +54,7 @@ INTERFERENCE = 'interference: single wrong bits, 0 as 1 and 1 as 0'
 PWM = 'the PWM of a motor'
 
 
-class Shape(NamedTuple):
+class ExpectedPacket(NamedTuple):
     """What is known of a packet that is due again and again. known: its first bytes."""
 
     known: bytes
@@ -71,7 +71,7 @@ class WrongBit(NamedTuple):
     is_late: bool | None           # it is as the bit before it was, None unknown
 
 
-class Wreck(NamedTuple):
+class DamagedPacket(NamedTuple):
     """A damaged packet that was recognised; flips: none where too many bits of data are wrong."""
 
     device: int
@@ -81,11 +81,11 @@ class Wreck(NamedTuple):
 
 # --- what is due -------------------------------------------------------------------------------
 
-def shapes(report: BusReport) -> tuple[Shape, ...]:
+def expected_packets(report: BusReport) -> tuple[ExpectedPacket, ...]:
     """Return what the master repeats and what is answered, in the form of this bus."""
     is_2 = report.protocol.startswith(PROTOCOL_2)
     longest = MAX_LENGTH - 4 if is_2 else MAX_LENGTH_1 - 2     # bytes of data in a status
-    found: dict[Shape, None] = {}
+    found: dict[ExpectedPacket, None] = {}
     for cycle in report.cycles:
         code = cycle.instruction
         if code in (Instruction.READ, Instruction.SYNC_READ) and cycle.length <= longest:
@@ -97,16 +97,16 @@ def shapes(report: BusReport) -> tuple[Shape, ...]:
     return tuple(found)
 
 
-def _status(number: int, size: int, is_2: bool) -> Shape:
+def _status(number: int, size: int, is_2: bool) -> ExpectedPacket:
     if is_2:
         length = (size + 4).to_bytes(2, 'little')
-        return Shape(HEADER + bytes((number, *length, STATUS)), size + 11, number)
-    return Shape(FAMILY_HEADER + bytes((number, size + 2, 0)), size + 6, number)
+        return ExpectedPacket(HEADER + bytes((number, *length, STATUS)), size + 11, number)
+    return ExpectedPacket(FAMILY_HEADER + bytes((number, size + 2, 0)), size + 6, number)
 
 
 # --- what is wrong with it ---------------------------------------------------------------------
 
-def wrecks(noise: bytes, due: Sequence[Shape]) -> list[Wreck]:
+def damaged_packets(noise: bytes, due: Sequence[ExpectedPacket]) -> list[DamagedPacket]:
     """Return the damaged packets that are recognised in bytes that were no packets."""
     found = []
     at = 0
@@ -116,14 +116,14 @@ def wrecks(noise: bytes, due: Sequence[Shape]) -> list[Wreck]:
             at += 1
             continue
         got = noise[at:at + shape.size]
-        wreck = _wreck(got, shape)
-        if wreck is not None:
-            found.append(wreck)
-        at += shape.size if wreck is not None and not wreck.flips else len(shape.known)
+        packet = _damaged_packet(got, shape)
+        if packet is not None:
+            found.append(packet)
+        at += shape.size if packet is not None and not packet.flips else len(shape.known)
     return found
 
 
-def _nearest(noise: bytes, at: int, due: Sequence[Shape]) -> Shape | None:
+def _nearest(noise: bytes, at: int, due: Sequence[ExpectedPacket]) -> ExpectedPacket | None:
     best, least = None, KNOWN_BITS_MAX_WRONG
     for shape in due:
         known = shape.known
@@ -141,11 +141,11 @@ def wrong_bits(got: bytes, sent: bytes) -> int:
     return (int.from_bytes(got, 'big') ^ int.from_bytes(sent, 'big')).bit_count()
 
 
-def _wreck(got: bytes, shape: Shape) -> Wreck | None:
+def _damaged_packet(got: bytes, shape: ExpectedPacket) -> DamagedPacket | None:
     """Return what is wrong with a packet, None where nothing is, or it breaks off."""
     flips = tuple(_flips(got, shape.known))
     if flips:
-        return Wreck(shape.device, shape.size, flips)
+        return DamagedPacket(shape.device, shape.size, flips)
     rest = got[len(shape.known):]
     if len(got) < shape.size or FAMILY_HEADER in rest or rest.endswith(FAMILY_HEADER[:1]):
         return None                                    # another packet begins in there
@@ -153,7 +153,7 @@ def _wreck(got: bytes, shape: Shape) -> Wreck | None:
     if not _syndrome(got, is_2):
         return None
     one = _one_flip_2(got) if is_2 else _one_flip_1(got)
-    return Wreck(shape.device, shape.size, () if one is None else (one,))
+    return DamagedPacket(shape.device, shape.size, () if one is None else (one,))
 
 
 def _flips(got: bytes, known: bytes) -> Iterable[WrongBit]:
@@ -207,14 +207,14 @@ def _one_flip_1(got: bytes) -> WrongBit | None:
 
 # --- what it looks like ------------------------------------------------------------------------
 
-def look(found: Sequence[Wreck]) -> str:
-    """Return what these wrecks look like, '' where that is not clear."""
+def describe_damage(found: Sequence[DamagedPacket]) -> str:
+    """Return what these damaged packets look like, '' where that is not clear."""
     if len(found) < PICTURE_MIN:
         return ''
-    known = [wreck for wreck in found if wreck.flips]
+    known = [packet for packet in found if packet.flips]
     if len(known) < NEARLY_NONE * len(found):
         return f'{TWO_SENDERS}: the headers are whole, data and checksums are not'
-    flips = [flip for wreck in known for flip in wreck.flips]
+    flips = [flip for packet in known for flip in packet.flips]
     if len(flips) < PICTURE_MIN:
         return ''
     if sum(flip.bit == 7 for flip in flips) >= NEARLY_ALL * len(flips):
@@ -227,9 +227,9 @@ def look(found: Sequence[Wreck]) -> str:
     return _by_direction(known, flips)
 
 
-def _by_direction(known: Sequence[Wreck], flips: Sequence[WrongBit]) -> str:
+def _by_direction(known: Sequence[DamagedPacket], flips: Sequence[WrongBit]) -> str:
     """Return what makes zeros of ones, ones of zeros, or both."""
-    first = [_first_byte(wreck) for wreck in known]
+    first = [_first_byte(packet) for packet in known]
     is_single = sum(len(some) <= 2 for some in first) >= SINGLE_BITS_MIN_SHARE * len(first)
     ups = sum(some[0].is_up for some in first)
     rarer = min(ups, len(first) - ups)
@@ -244,24 +244,24 @@ def _by_direction(known: Sequence[Wreck], flips: Sequence[WrongBit]) -> str:
     return ''
 
 
-def _first_byte(wreck: Wreck) -> list[WrongBit]:
+def _first_byte(packet: DamagedPacket) -> list[WrongBit]:
     """Return the wrong bits of the first wrong byte: a lost start bit spoils the next ones."""
-    place = wreck.flips[0].at // LINE_BITS
-    return [flip for flip in wreck.flips if flip.at // LINE_BITS == place]
+    place = packet.flips[0].at // LINE_BITS
+    return [flip for flip in packet.flips if flip.at // LINE_BITS == place]
 
 
-def _are_same(known: Sequence[Wreck]) -> bool:
+def _are_same(known: Sequence[DamagedPacket]) -> bool:
     """Tell whether it is always the same bits: chance does not hit them again and again."""
-    kinds = Counter((wreck.device, wreck.size) for wreck in known)
-    same = sum(count for wreck, count in Counter(known).items()
-               if count >= SAME_BITS_MIN_SHARE * kinds[wreck.device, wreck.size] and count > 1)
+    kinds = Counter((packet.device, packet.size) for packet in known)
+    same = sum(count for packet, count in Counter(known).items() if count > 1
+               and count >= SAME_BITS_MIN_SHARE * kinds[packet.device, packet.size])
     return same >= NEARLY_ALL * len(known)
 
 
-def _period(known: Sequence[Wreck]) -> int:
+def _period(known: Sequence[DamagedPacket]) -> int:
     """Return the distance (bits) of which the gaps between wrong bits are multiples, or 0."""
-    gaps = [later.at - one.at for wreck in known for one, later in zip(
-        wreck.flips, wreck.flips[1:], strict=False)
+    gaps = [later.at - one.at for packet in known for one, later in zip(
+        packet.flips, packet.flips[1:], strict=False)
         if one.at >= 0 and later.at - one.at >= PULSE_MAX_BITS][-GAPS_MAX:]
     if len(gaps) < GAPS_MIN or _on_grid(gaps, LINE_BITS) >= BYTE_GRID_MIN_SHARE:
         return 0
@@ -278,7 +278,7 @@ def _on_grid(gaps: Sequence[int], period: float) -> float:
 
 # --- two talkers at once -----------------------------------------------------------------------
 
-def laid_over(report: BusReport) -> int:
+def count_overlaid(report: BusReport) -> int:
     """Return how many questions were wholly inside something else, as far as the last noise."""
     return _overlaid(report.noise, tuple([
         (one.instruction, one.ids, one.address, one.length) for one in report.cycles]))
