@@ -382,8 +382,8 @@ def test_a_question_that_is_over_moves_as_the_table_says(state, event, then):
 @pytest.mark.parametrize(('idle_ns', 'missed'), [(S, 0), (S + 1, 1)])
 def test_an_answer_is_given_up_behind_an_idle_line_of_more_than_a_second(idle_ns, missed):
     one = BusDecoder(MODELS)
-    one.hear(encode(3, I.READ, b'\x84\0\4\0'), S)
-    one.pause(S, S + idle_ns)
+    one.process_chunk(encode(3, I.READ, b'\x84\0\4\0'), S)
+    one.process_pause(S, S + idle_ns)
     assert one.registry.devices[3].counts.missed == missed
 
 
