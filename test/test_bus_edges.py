@@ -23,6 +23,7 @@ from msg_defs.frame import Flaw
 from msg_defs.frame import INSTRUCTION_2
 from msg_defs.frame import IS_STATUS
 from servobus.bus import evidence as ev
+from servobus.bus import unread
 from servobus.bus.decoder import BusDecoder
 from servobus.bus.decoder import Settings
 from servobus.bus.device import Device
@@ -36,6 +37,7 @@ from servobus.bus.plan import Due
 from servobus.bus.plan import ignore_data
 from servobus.bus.plan import Plan
 from servobus.bus.plan import Slot
+from servobus.bus.planner import NO_PLAN
 from servobus.bus.planner import Planner
 from servobus.bus.registry import DeviceRegistry
 from servobus.bus.reply_policy import OpenQuestion
@@ -313,11 +315,75 @@ def test_the_first_miss_and_the_one_over_the_limit_are_noted():
     assert (plan.missed, one.device(3).counts.data_missed) == (7, 7)
 
 
+class UnreadRun:
+    """A question about 4 bytes of device 3, and what a tap reports of the program that asked."""
+
+    def __init__(self):
+        self.registry = registry()
+        evidence = self.registry._evidence
+        self.unread = unread.UnreadAnswers(
+            self.registry, evidence, ReplyPolicy('auto', 4, self.registry, evidence))
+        self.slot = Slot(self.registry.device(3), Due.READ, 132, 4, ignore_data)
+        self.plan = Plan(Request(I.READ, 3, Answers.DATA, (Access(3, 132, 4, b''),)),
+                         {3: self.slot})
+        self.question = OpenQuestion(self.plan, [self.slot], set(), False, S)
+
+    def go_to(self, state):
+        if state != unread.PENDING:
+            self.unread._questions[state].append(self.question)
+
+    def state(self):
+        return next((state for state, questions in self.unread._questions.items()
+                     if self.question in questions), unread.DONE)
+
+    def next_question(self, waiting=0, purged=False, unsent=False):
+        if purged:
+            self.purge()
+        if waiting:
+            self.unread.report_waiting(waiting, 0, S)
+        if unsent:
+            self.unread.report_unsent(S, S)
+        return unread.MISSED if self.unread.end_question(self.question, 2 * S, 1000) else ''
+
+    def purge(self, waiting=0):
+        self.unread.report_waiting(waiting, 0, S)
+        self.unread.report_purge(NO_PLAN, {}, 2 * S, 0, 2 * S)
+
+    def hear_answer(self, flaw=None):
+        self.unread.take_old_answers(
+            [(0, 15, IS_STATUS, 3, 0, bytes(4), flaw)], 2 * S, 15, NO_PLAN)
+
+    def events(self):
+        return {
+            unread.NOT_SENT: lambda: self.next_question(unsent=True),
+            unread.WAITED: self.next_question,
+            unread.NOT_READ: lambda: self.next_question(waiting=3),
+            unread.NOT_READ_PURGED: lambda: self.next_question(waiting=3, purged=True),
+            unread.ANSWERED: self.hear_answer,
+            unread.DAMAGED: lambda: self.hear_answer(Flaw('crc')),
+            unread.EXPIRED: lambda: self.unread.judge_expired(2 * S, 1000),
+            unread.PURGED: lambda: self.purge(7),
+            unread.PURGED_NOTHING: self.purge,
+            unread.CLOSED: lambda: self.unread.close(self.question),
+            unread.LOST: lambda: self.unread.close(None),
+        }
+
+
+@pytest.mark.parametrize(('state', 'event', 'then'), [
+    (state, event, then) for state, row in unread.NEXT.items() for event, then in row.items()])
+def test_a_question_that_is_over_moves_as_the_table_says(state, event, then):
+    run = UnreadRun()
+    run.go_to(state)
+    returned = run.events()[event]()
+    is_missed = returned == unread.MISSED or run.registry.device(3).counts.missed == 1
+    assert (unread.MISSED if is_missed else run.state()) == then
+
+
 @pytest.mark.parametrize(('idle_ns', 'missed'), [(S, 0), (S + 1, 1)])
 def test_an_answer_is_given_up_behind_an_idle_line_of_more_than_a_second(idle_ns, missed):
     one = BusDecoder(MODELS)
-    one.hear(encode(3, I.READ, b'\x84\0\4\0'), S)
-    one.pause(S, S + idle_ns)
+    one.process_chunk(encode(3, I.READ, b'\x84\0\4\0'), S)
+    one.process_pause(S, S + idle_ns)
     assert one.registry.devices[3].counts.missed == missed
 
 

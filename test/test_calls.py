@@ -36,9 +36,9 @@ def cost_of_a_ping(count):
     (lambda frame: frame[0] + frame[1] > frame[2], calls.bytecodes_of, 'bytecodes a packet'),
 ])
 def test_a_rule_that_costs_more_on_each_packet_is_over_the_limit(monkeypatch, rule, count, what):
-    limit, track = calls.limits()[PING, what], Tracker.track
+    limit, track = calls.limits()[PING, what], Tracker.process_frames
     assert cost_of_a_ping(count) <= limit
-    monkeypatch.setattr(Tracker, 'track', lambda self, frames, *rest: track(
+    monkeypatch.setattr(Tracker, 'process_frames', lambda self, frames, *rest: track(
         self, [frame for frame in frames if not rule(frame)] or frames, *rest))
     assert cost_of_a_ping(count) > limit
 

@@ -14,12 +14,15 @@ from operator import attrgetter
 from typing import Any
 from typing import NamedTuple
 
+from msg_defs.dxl1_packet import BROADCAST
+from msg_defs.dxl1_packet import Dxl1Framer
 from msg_defs.dxl_instruction import error_text
 from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_packet import STATUS
 from msg_defs.event import OUT
 from msg_defs.frame import Flaw
 from msg_defs.frame import Frame
+from msg_defs.frame import is_good
 from msg_defs.frame import IS_STATUS
 from msg_defs.frame import OPEN as OPEN_FRAME
 from servobus.bus.report import D
@@ -168,6 +171,7 @@ _INCIDENTS_KEPT = 1000
 _FREQUENT_APART_NS = 100_000_000  # between two that are kept, where each packet may be one
 _ERRORS_KEPT = 50
 _WAITS_KEPT = 256
+NOISE_DATA_END = 63                 # parameters: noise with more of them is no packet
 
 # The lines of the error log; what is not listed here is not an error. {place}: at which
 # register, nothing where the instruction names none.
@@ -245,10 +249,13 @@ class Evidence:
             self.add_incident(stamp, damaged, number, Front(code, flaw.length))
 
     def search_noise(self, noise: bytes, fresh: int, stamp: int) -> None:
-        """Look for packets of Protocol 1.0 that end in the last `fresh` bytes of noise."""
-        for at, end in _protocol_1(noise):
-            if end > len(noise) - fresh:
-                self.add_incident(stamp, PROTOCOL_1, noise[at + 2], Code(noise[at + 4]))
+        """Search for packets of Protocol 1.0 that end in the last `fresh` bytes of noise."""
+        framer = Dxl1Framer()
+        for frame in framer.frames(noise) + framer.flush_frames():
+            _, end, _, number, code, data, _ = frame
+            if is_good(frame) and end > len(noise) - fresh and number < BROADCAST - 1 \
+                    and len(data) < NOISE_DATA_END:
+                self.add_incident(stamp, PROTOCOL_1, number, Code(code))
 
     def newest_incidents(self, count: int) -> tuple[Incident[Any], ...]:
         """Return the last incidents, oldest first."""
@@ -277,21 +284,3 @@ def text_of(incident: Incident[Any],
 def _line(incident: Incident[Any], register: Register) -> str:
     text = text_of(incident, register)
     return text if incident.device < 0 else f'{incident.device:03}: {text}'
-
-
-def _protocol_1(data: bytes) -> list[tuple[int, int]]:
-    """
-    Return where packets of Protocol 1.0 begin and end.
-
-    They are FF FF, ID, length, instruction, parameters, checksum.
-    """
-    found = []
-    at = data.find(b'\xff\xff')
-    while 0 <= at < len(data) - 5:
-        end = at + 4 + data[at + 3]
-        if (data[at + 2] < 0xFD and 2 <= data[at + 3] <= 0x40 and end <= len(data)
-                and sum(data[at + 2:end]) & 0xFF == 0xFF):
-            found.append((at, end))
-            at = end - 1
-        at = data.find(b'\xff\xff', at + 1)
-    return found
