@@ -76,6 +76,11 @@ def record(kind: str, port: int, stamp: int, data: bytes) -> bytes:
     return HEAD.pack(KINDS.index(kind), port, stamp, len(data)) + data
 
 
+def lost_record(count: int) -> bytes:
+    """Return the record of how many records were left out."""
+    return record('lost', 0, time.monotonic_ns(), NUMBER.pack(count))
+
+
 class _OwnSocket(socket.socket):
     """A socket that is closed on purpose only: its number may be the program's by then."""
 
@@ -148,7 +153,7 @@ class _TapPeer:
             self.lost += len(records)
         else:
             if self.lost:
-                self.pending += record('lost', 0, time.monotonic_ns(), NUMBER.pack(self.lost))
+                self.pending += lost_record(self.lost)
                 self.lost = 0
             self.pending += b''.join(records)
         try:
@@ -327,7 +332,7 @@ class Sender:
                 self._announced.add(one[1])
         if self.lost:
             lost, self.lost = self.lost, 0
-            records.append(record('lost', 0, time.monotonic_ns(), NUMBER.pack(lost)))
+            records.append(lost_record(lost))
         for path, reader in list(self._readers.items()):
             if not reader.send(records):
                 self._drop(path, len(records))

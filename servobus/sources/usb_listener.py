@@ -130,8 +130,9 @@ class UsbListener(Listener):
             if stamp != chunk.stamp:
                 chunks[at] = chunk._replace(stamp=stamp)
             self._newest = stamp
+            if chunk.data:
+                self._last = stamp
         if chunks:
-            self._last = self._newest
             self._deliver(*chunks)
             if chunks[-1].change == UNPLUGGED_CHANGE:
                 raise self._gone()

@@ -10,6 +10,7 @@ to the host. Neither is the time on the wire: an adapter gathers what it receive
 from __future__ import annotations
 
 from typing import NamedTuple
+from typing import TypeVar
 
 from msg_defs.event import Change
 from msg_defs.event import Changes
@@ -40,6 +41,8 @@ PENDING_TRANSFERS_MAX = 256        # transfers under way; a driver has 16 at mos
 
 UNPLUGGED_CHANGE = Change(GONE, 1)
 _SENT = 'sent'                     # the end of an output
+_Key = TypeVar('_Key')
+_Kept = TypeVar('_Kept')
 
 
 class Place(NamedTuple):
@@ -70,7 +73,7 @@ class UsbPort:
         self.later = 0                                 # ns that are added to stamps
         self._bus, self._device = place.bus, place.device
         self._bulk = {place.bulk_in | INPUT: IN, place.bulk_out: OUT} if place.bulk_in else None
-        self._setups: dict[int, bytes] = {}            # control transfers under way
+        self._setups = Setups()
         self._sizes: dict[int, int] = {}               # data on their way to the adapter
         self._kinds = _kinds(place)
 
@@ -148,15 +151,11 @@ class UsbPort:
         return b'', UNKNOWN, [Change(NOT_SENT, missing)] * (missing > 0) + _end_of(event)
 
     def _control(self, event: UsbEvent) -> Changes:
-        """Join a control transfer: the setup comes first, what the device answers at the end."""
-        if event.setup:
-            _remember(self._setups, event.number, event.setup)
-            setup = Setup.of(event.setup)
-            return [] if setup.kind & INPUT else self.adapter.control(setup, event.data)
-        packet = self._setups.get(event.number)
-        if packet is None or not event.data:
+        setup = self._setups.setup_of(event)
+        # What is asked for comes with the setup, what the device answers at the end.
+        if setup is None or (setup.kind & INPUT if event.setup else not event.data):
             return []
-        return self.adapter.control(Setup.of(packet), event.data)
+        return self.adapter.control(setup, event.data)
 
 
 def _cut(event: UsbEvent) -> Changes:
@@ -186,8 +185,23 @@ def _kinds(place: Place) -> dict[int, str]:
     return kinds
 
 
-def _remember(memory: dict[int, bytes] | dict[int, int], number: int, what: object) -> None:
+def _remember(transfers: dict[_Key, _Kept], number: _Key, kept: _Kept) -> None:
     """Keep something by the number of its transfer, and not more than can be under way."""
-    memory[number] = what                              # type: ignore[assignment]
-    if len(memory) > PENDING_TRANSFERS_MAX:
-        del memory[next(iter(memory))]
+    transfers[number] = kept
+    if len(transfers) > PENDING_TRANSFERS_MAX:
+        del transfers[next(iter(transfers))]
+
+
+class Setups:
+    """The setup packets of the control transfers under way: only its beginning has one."""
+
+    def __init__(self) -> None:
+        self._packets: dict[tuple[int, int, int], bytes] = {}
+
+    def setup_of(self, event: UsbEvent) -> Setup | None:
+        """Return that of the transfer of an event, None where its beginning was not seen."""
+        key = event.bus, event.device, event.number
+        if event.setup:
+            _remember(self._packets, key, event.setup)
+        packet = self._packets.get(key)
+        return None if packet is None else Setup.of(packet)

@@ -16,9 +16,9 @@ from servobus.sources.adapters import adapter_of
 from servobus.sources.adapters import CdcAcm
 from servobus.sources.adapters import family_by_request
 from servobus.sources.adapters import Ftdi
-from servobus.sources.adapters import Setup
 from servobus.sources.adapters import UsbIdentity
 from servobus.sources.usb_port import Place
+from servobus.sources.usb_port import Setups
 from servobus.sources.usbmon import BULK
 from servobus.sources.usbmon import CONTROL
 from servobus.sources.usbmon import INPUT
@@ -31,7 +31,6 @@ _SMALL, _LARGE = 64, 512           # packets of a full-speed and of a high-speed
 _SMALL_MARK, _LARGE_MARK = 1, 2    # low half of FTDI's first status byte: the size of packets
 _HEADER = b'\xff\xff'              # what every packet of a servo begins with
 _UNKNOWN = UsbIdentity(0, 0)
-PENDING_TRANSFERS_MAX = 256
 DEVICES_MAX = 4096                 # what a damaged file may invent
 
 
@@ -130,7 +129,7 @@ class Survey:
 
     def __init__(self) -> None:
         self._devices: dict[tuple[int, int], _UsbDevice] = {}
-        self._setups: dict[tuple[int, int, int], bytes] = {}
+        self._setups = Setups()
 
     def add_event(self, event: UsbEvent) -> None:
         is_bulk = event.transfer == BULK
@@ -153,15 +152,9 @@ class Survey:
                 for found in device.ports(bus, number)]
 
     def _add_control(self, device: _UsbDevice, event: UsbEvent) -> None:
-        key = event.bus, event.device, event.number
-        if event.setup:
-            if len(self._setups) >= PENDING_TRANSFERS_MAX:
-                del self._setups[next(iter(self._setups))]
-            self._setups[key] = event.setup
-        packet = event.setup or self._setups.get(key)
-        if not packet:
+        setup = self._setups.setup_of(event)
+        if setup is None:
             return
-        setup = Setup.of(packet)
         if (setup.kind, setup.request) == _GET_DESCRIPTOR:
             device.add_descriptor(event.data)
         else:
