@@ -121,12 +121,11 @@ def _summary(part: _Partial | None) -> Summary | None:
 
 
 class Series:
-    """Samples of one quantity; `refused` counts those that were no number."""
+    """Samples of one quantity."""
 
-    __slots__ = ('_closed', '_end', '_lock', '_slice', '_state', '_width', 'refused')
+    __slots__ = ('_closed', '_end', '_lock', '_slice', '_state', '_width')
 
     def __init__(self, window_s: float = 10.0) -> None:
-        self.refused = 0
         self._width = int(window_s * 1e9 / SLICES)
         self._lock = Lock()         # between reset and a change of slice, not for adding
         self._slice = _Slice(0, 0.0)
@@ -141,7 +140,6 @@ class Series:
 
     def add(self, value: float, now_ns: int) -> None:
         if not -LIMIT < value < LIMIT:
-            self.refused += 1
             return
         if now_ns >= self._end:
             self._open_slice(value, now_ns)

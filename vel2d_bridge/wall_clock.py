@@ -16,7 +16,6 @@ class WallClock:
     """Compares system time (`wall`) with time since boot (`now`), distrusts it after a step."""
 
     def __init__(self) -> None:
-        self.steps = 0
         self._offset: int | None = None
         self._stepped: int | None = None
 
@@ -24,7 +23,6 @@ class WallClock:
         """Look for a step; call it once in a while, or slewing will look like one."""
         offset = wall - now
         if self._offset is not None and abs(offset - self._offset) > _STEP:
-            self.steps += 1
             self._stepped = now
         self._offset = offset
 
