@@ -15,9 +15,7 @@ from urllib.request import urlopen
 
 from dashboard_page import Dashboard
 import pytest
-from recorded_night import record
 from recorded_night import SERVOS
-from recorded_night import SICK
 from synthetic_robot import FINDINGS
 from synthetic_robot import SyntheticRobot
 
@@ -194,17 +192,6 @@ def test_a_finding_is_over_only_where_the_monitor_that_had_it_says_so():
                 'too hot: not known since the monitor was started again')]
 
 
-def test_a_bus_that_reports_again_has_the_level_of_what_it_reports():
-    """A green disc next to '0 of 24 devices answer' would say that all is well."""
-    robot = SyntheticRobot()
-    robot.lost, robot.bridge = {device[0] for device in robot.buses['']}, lambda time_s: []
-    robot.findings = [FINDINGS[0]._replace(
-        rule='none_answer', level=Level.ERROR, message='0 of 24 devices connected')]
-    assert written((100.0, robot), (106.0, None), (110.0, robot))[1:] == [
-        ('state', 3, 'bus', 'No report from dxl_monitor: nothing is known of its 24 devices'),
-        ('state', 2, 'bus', '0 of 24 devices answer')]
-
-
 @pytest.mark.parametrize('problem', ['lost', 'port'])
 def test_what_a_device_does_not_say_any_more_is_not_kept(problem):
     robot = SyntheticRobot()
@@ -329,14 +316,6 @@ def test_a_file_of_a_later_version_is_set_aside(path):
         HistoryWriter(path)
 
 
-def test_a_file_of_the_same_version_goes_on(path):
-    for at in (NIGHT, NIGHT + 600):
-        writer = HistoryWriter(path)
-        writer.write([window(at, 1.0)], [])
-        writer.close()
-    assert [one.at for one in read(path, NIGHT)[0]] == [NIGHT, NIGHT + 600]
-
-
 def test_a_link_in_place_of_the_lock_is_refused_and_its_target_left_alone(path):
     precious = path.with_name('precious')
     precious.write_text('kept')
@@ -361,12 +340,6 @@ def test_two_robots_on_one_machine(monkeypatch, tmp_path, capsys):
     first.close()
     second.close()
     HistoryRecorder(first.path).close()
-
-
-def test_a_place_that_cannot_be_written(tmp_path):
-    (tmp_path / 'file').touch()
-    with pytest.raises(HistoryError, match='file exists; give another file with --history'):
-        HistoryRecorder(tmp_path / 'file' / 'history.sqlite')
 
 
 def test_where_it_is(monkeypatch, tmp_path):
@@ -397,35 +370,6 @@ def ask(dashboard, what, **query):
     with urlopen(f'{dashboard.address}history/{what}?{urlencode(query, doseq=True)}',
                  timeout=20) as answer:
         return answer.read().decode()
-
-
-@pytest.mark.slow
-def test_a_robot_that_failed_at_night(path):
-    """Eight hours in simulated time: when, which device, how warm and at what voltage before."""
-    writer = HistoryWriter(path)
-    lost_at = 5 * HOURS + 1234
-    record(writer, NIGHT, 8 * HOURS, lost_at)
-    assert writer.bytes() < 2_000_000
-    writer.close()
-    night = {'from': NIGHT, 'to': NIGHT + 8 * HOURS}
-    with Dashboard(history=path) as dashboard:
-        [event] = [one for one in json.loads(ask(dashboard, 'events', **night))['events']
-                   if one[3] == 'state']
-        assert event == [NIGHT + lost_at, SICK, '', 'state', 2, 'disconnected: 7 answers missed']
-        before = json.loads(ask(dashboard, 'values', of=SICK, **{
-            'from': NIGHT + lost_at - 600, 'to': NIGHT + lost_at - 10}))['sources'][SICK]
-        assert before['values']['temperature'][-1][2] == 80
-        assert before['values']['voltage'][-1][1:] == [11.3, 11.4]
-        assert {level for _, level in before['levels']} == {0}
-        whole = json.loads(ask(dashboard, 'values', of=SICK, **night))['sources'][SICK]
-        at, _, _ = whole['values']['temperature'][-1]        # none of a servo that is lost
-        assert NIGHT + lost_at - 60 < at < NIGHT + lost_at
-        assert next(at for at, level in whole['levels'] if level == 2) \
-            == pytest.approx(NIGHT + lost_at, abs=60)
-        lines = ask(dashboard, 'values', of=SICK, format='csv', **night).splitlines()
-        assert len(lines) == 1 + 8 * HOURS / WINDOW_S
-        assert lines[0].startswith('time,robot,name,level,load unit,position min,position max')
-        assert SICK in ask(dashboard, 'events', format='csv', **night)
 
 
 def test_many_sources_share_the_points_of_an_answer(path, monkeypatch):

@@ -87,12 +87,6 @@ def test_page_and_headers(dashboard):
     assert b'http://' not in body and b'https://' not in body, 'nothing from elsewhere'
 
 
-def test_nothing_is_inline(dashboard):
-    _, page = ask(dashboard)
-    assert b'<style' not in page and b' style=' not in page and b' onclick' not in page
-    assert page.count(b'<script') == page.count(b'<script src=') + page.count(b'<script type=')
-
-
 @pytest.mark.parametrize('path', [
     '/../server.py', '/..%2fserver.py', '/%2e%2e/server.py', '/static/index.html', '/server.py',
     '//etc/passwd', '/etc/passwd', '/.git/config', '/index.html/..', '/main.js%00.html',
@@ -109,12 +103,6 @@ def test_it_only_reads(dashboard, method, path):
     response, _ = ask(dashboard, path, method)
     assert response.status == 405
     assert response.headers['X-Content-Type-Options'] == 'nosniff'
-
-
-def test_head(dashboard):
-    for path in ('/', '/events', '/main.js'):
-        response, body = ask(dashboard, path, 'HEAD')
-        assert (response.status, body) == (200, b'')
 
 
 @pytest.mark.parametrize(('host', 'is_open', 'status'), [
@@ -202,12 +190,6 @@ def test_compressed_stream(dashboard):
     text = b''
     while b'left_knee' not in text:
         text += unzip.decompress(stream.response.read1(4096))
-    stream.close()
-
-
-def test_watching_nobody(dashboard):
-    stream = Stream(dashboard, 'watch=%00%ff%3Cscript%3E')
-    assert 'table' not in stream.next()
     stream.close()
 
 
@@ -316,14 +298,6 @@ def test_a_second_head_that_does_not_come_is_not_waited_for(monkeypatch):
         while client.recv(65536):
             pass
         client.close()
-
-
-def test_a_head_in_pieces_is_understood(dashboard):
-    client = connect(dashboard)
-    for piece in (b'GE', b'T / HTTP/1.0\r\nHost: ', b'localhost\r\n\r', b'\n'):
-        client.sendall(piece)
-    assert client.recv(12) == b'HTTP/1.0 200'
-    client.close()
 
 
 def test_a_name_of_its_own_and_what_to_do_without():

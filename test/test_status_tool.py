@@ -58,15 +58,6 @@ def test_a_sick_device_has_a_line_and_an_exit_code(group, code, level):
     assert exit_code(state) == code
 
 
-@pytest.mark.parametrize('model', ['unknown', 'unknown (4711)', 'MX-64'])
-def test_level_and_message_are_those_of_the_status(model):
-    state = State()
-    state.take(OVERVIEW, serialise([Status('dxl_monitor: 001', Level.OK, 'as judged', '1', [
-        ('Model', model), ('Firmware Version', 'unknown'), ('State', 'connected')])]), 1.0)
-    [line] = [line for line in status_lines(state, 1.0, every_device=True) if line.what == '001']
-    assert (line.level, line.message) == (Level.OK, 'as judged')
-
-
 def test_robots_are_told_apart_and_a_namespace_has_its_own():
     robots = [SyntheticRobot(namespace=f'rover{number}') for number in (1, 2)]
     robots[1].lost = {7}
@@ -79,18 +70,6 @@ def test_robots_are_told_apart_and_a_namespace_has_its_own():
     alone = told(*robots, state=State('rover1'))
     assert {line.robot for line in status_lines(alone, 100.0)} == {'rover1'}
     assert exit_code(alone) == 0
-
-
-def test_what_is_no_longer_reported_is_silent_and_then_gone():
-    robot = SyntheticRobot({'': ((1, 'MX-64', ''),)})
-    state = told(robot)
-    lines = status_lines(state, 105.0)
-    assert [(line.what, line.message) for line in lines if line.what == 'bus'] == [
-        ('bus', 'No report from dxl_monitor: nothing is known of its 1 device; last report 5 s '
-                'ago')]
-    assert exit_code(state) == 3
-    state.take(OVERVIEW, serialise(robot.overview(170.0)[:1]), 170.0)   # its bus lives, it not
-    assert [line.what for line in status_lines(state, 170.0) if line.what == '001'] == []
 
 
 def test_nothing_of_others_and_no_control_codes():
