@@ -64,11 +64,6 @@ def test_a_bus_is_judged_while_there_are_bytes(last_byte_s, is_judged):
     assert [one.rule for one in found.findings] == ['baud_moved'] * is_judged
 
 
-RULES = [one for family in (configuration, damage, feetech, health, presence, setting_up,
-                            timing_rules)
-         for one in family.RULES]
-
-
 def test_the_states_end_with_the_state():
     assert {one.name for one in RULES if not one.holds} == {
         'baud_moved', 'id_moved', 'hardware_error', 'all_silent', 'broken_cable',
@@ -76,6 +71,11 @@ def test_the_states_end_with_the_state():
     assert {one.name: one.onset_s for one in RULES if one.onset_s} == {
         'two_masters': 1.0, 'jitter': 3.0, 'damaged_answers': 1.0, 'wrong_supply': 3.0,
         'cycle_time': 1.0, 'no_acks': 1.0}
+
+
+RULES = [one for family in (configuration, damage, feetech, health, presence, setting_up,
+                            timing_rules)
+         for one in family.RULES]
 
 
 def test_a_port_that_is_closed_hears_no_master_and_says_nothing_of_it():

@@ -87,19 +87,6 @@ def test_unplugged(use):
     port.close()
 
 
-def test_a_full_pty_takes_no_more():
-    with Pty() as pty:
-        port = open_port(pty.path, 115200)
-        # The kernel moves what it holds when it likes: full is when not even a byte goes.
-        for _ in range(1000):
-            if not port.write(bytes(4096)) and not port.write(b'x'):
-                break
-        else:
-            raise AssertionError('4 MB went into a pty that is not read')
-        port.drop_output()
-        port.close()
-
-
 def test_busy_names_the_holder():
     with Pty() as pty:
         code = (f'import fcntl, sys; f = open({pty.path!r}); fcntl.flock(f, 2); print(flush=True);'
@@ -160,17 +147,6 @@ def test_a_rate_that_the_driver_falls_back_to_is_no_ceiling(monkeypatch):
         port_module._check_rate(pty.path, 0, 4_000_000)
     assert caught.value.reason == 'the driver sets 9600 baud, not the 4000000 that was asked for'
     assert '9600' not in caught.value.remedy
-
-
-def test_loop_url_without_a_descriptor():
-    port = open_port('loop://', 9600)
-    assert port.fd is None
-    assert port.write(b'echo') == 4
-    assert port.wait(10)
-    assert port.read() == b'echo'
-    assert not port.wait(0.01)
-    assert port.pending() == 0
-    port.close()
 
 
 @pytest.mark.parametrize(('path', 'words'), [
@@ -468,19 +444,6 @@ def test_a_port_that_another_program_stopped_takes_bytes():
         assert port.write(b'stop') == 4
         assert os.read(pty.master, 99) == b'stop'
         port.close()
-
-
-def test_who_shares_a_pty_is_told_and_who_made_it_is_not():
-    makes = '_, near = os.openpty(); print(os.ttyname(near), flush=True)'
-    opens = 'os.open(sys.argv[1], os.O_NOCTTY); print(flush=True)'
-    with pipes(makes) as bus:
-        path = bus.stdout.readline().strip()
-        assert preflight.warnings(path) == []
-        with pipes(opens, path) as other:
-            other.stdout.readline()
-            [reason] = preflight.warnings(path)
-    assert reason.kind == 'busy'
-    assert re.fullmatch(rf'\S+ \(pid {other.pid}\) has it open too', reason.reason)
 
 
 def pipes(script, *arguments):
