@@ -275,6 +275,20 @@ def test_mistyped_names_are_said(mcu):
         assert not running.said('no such parameter')
 
 
+def test_a_console_on_the_port_is_said(ros, graph, tmp_path):
+    """Preflight runs off the executor, and what it finds is on /diagnostics while driving."""
+    script = ('import sys; from servobus.port import preflight; from vel2d_bridge import main\n'
+              f'preflight.warnings.__defaults__ = (__import__("pathlib").Path({str(tmp_path)!r}),'
+              ' ())\nsys.exit(main.main())')
+    with Mcu(str(tmp_path / 'mcu')).running() as mcu:
+        console = Path(os.path.realpath(mcu.path)).name
+        (tmp_path / 'proc').mkdir()
+        (tmp_path / 'proc/consoles').write_text(f'{console}  -W- (EC p a)  4:64\n')
+        with bridge(mcu, '-r', '__node:=on_console', script=script) as running:
+            running.wait_for('WARN', f'{mcu.path}: the kernel writes its console here; remove')
+            graph.wait_status('on_console: link', 'the kernel writes its console here', level=1)
+
+
 def test_help_and_no_ros():
     with Program('vel2d_bridge.main', '--help') as helping:
         assert helping.exit_code() == 0

@@ -15,7 +15,9 @@ from urllib.request import urlopen
 
 from dashboard_page import Dashboard
 import pytest
+from recorded_night import record
 from recorded_night import SERVOS
+from recorded_night import SICK
 from synthetic_robot import FINDINGS
 from synthetic_robot import SyntheticRobot
 
@@ -370,6 +372,35 @@ def ask(dashboard, what, **query):
     with urlopen(f'{dashboard.address}history/{what}?{urlencode(query, doseq=True)}',
                  timeout=20) as answer:
         return answer.read().decode()
+
+
+@pytest.mark.slow
+def test_a_robot_that_failed_at_night(path):
+    """Eight hours in simulated time: when, which device, how warm and at what voltage before."""
+    writer = HistoryWriter(path)
+    lost_at = 5 * HOURS + 1234
+    record(writer, NIGHT, 8 * HOURS, lost_at)
+    assert writer.bytes() < 2_000_000
+    writer.close()
+    night = {'from': NIGHT, 'to': NIGHT + 8 * HOURS}
+    with Dashboard(history=path) as dashboard:
+        [event] = [one for one in json.loads(ask(dashboard, 'events', **night))['events']
+                   if one[3] == 'state']
+        assert event == [NIGHT + lost_at, SICK, '', 'state', 2, 'disconnected: 7 answers missed']
+        before = json.loads(ask(dashboard, 'values', of=SICK, **{
+            'from': NIGHT + lost_at - 600, 'to': NIGHT + lost_at - 10}))['sources'][SICK]
+        assert before['values']['temperature'][-1][2] == 80
+        assert before['values']['voltage'][-1][1:] == [11.3, 11.4]
+        assert {level for _, level in before['levels']} == {0}
+        whole = json.loads(ask(dashboard, 'values', of=SICK, **night))['sources'][SICK]
+        at, _, _ = whole['values']['temperature'][-1]        # none of a servo that is lost
+        assert NIGHT + lost_at - 60 < at < NIGHT + lost_at
+        assert next(at for at, level in whole['levels'] if level == 2) \
+            == pytest.approx(NIGHT + lost_at, abs=60)
+        lines = ask(dashboard, 'values', of=SICK, format='csv', **night).splitlines()
+        assert len(lines) == 1 + 8 * HOURS / WINDOW_S
+        assert lines[0].startswith('time,robot,name,level,load unit,position min,position max')
+        assert SICK in ask(dashboard, 'events', format='csv', **night)
 
 
 def test_many_sources_share_the_points_of_an_answer(path, monkeypatch):

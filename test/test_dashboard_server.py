@@ -105,6 +105,12 @@ def test_it_only_reads(dashboard, method, path):
     assert response.headers['X-Content-Type-Options'] == 'nosniff'
 
 
+def test_head(dashboard):
+    for path in ('/', '/events', '/main.js'):
+        response, body = ask(dashboard, path, 'HEAD')
+        assert (response.status, body) == (200, b'')
+
+
 @pytest.mark.parametrize(('host', 'is_open', 'status'), [
     ('localhost:8420', False, 200), ('127.0.0.1', False, 200), ('[::1]:8420', False, 200),
     ('evil.example', False, 421), ('evil.example:8420', False, 421), ('', False, 421),

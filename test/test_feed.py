@@ -264,6 +264,8 @@ def test_a_recording_is_played_stopped_and_moved(tmp_path):
         slider.fill('10')
         bar.filter(has_text='6/6').wait_for()
         assert page.locator('.servo[data-state=ok]').count() == 6
+        page.get_by_role('link', name='Signals').click()        # stopped, yet it has the past
+        page.locator('.legend', has_text=re.compile(r'(29|30) /s')).wait_for()
         page.get_by_role('button', name='Play').click()
         wait(lambda: float(slider.input_value()) > 10.3)
         with urlopen(f'{address}/player') as answer:
