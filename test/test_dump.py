@@ -210,6 +210,16 @@ def test_devices_with_other_indirect_addresses_have_other_names(instruction, par
         assert 'rad; 2: Torque Enable on, LED on; 3: 4 at 224: 01 01 00 00' in line
 
 
+def test_a_register_that_means_another_thing_on_another_device_is_told_apart():
+    modes = [encode(number, I.WRITE, struct.pack('<HB', 10, mode))
+             + encode(number, STATUS, error=0) for number, mode in ((1, 0), (2, 4))]
+    sync = struct.pack('<HH', 112, 4) + b''.join(struct.pack('<Bi', number, 10)
+                                                 for number in (1, 2))
+    line = dump('-', '--devices', '1-2:XM430-W350', '--instruction', 'sync_write',
+                feed=b''.join([*modes, encode(BROADCAST, I.SYNC_WRITE, sync)]))
+    assert '1: Profile Velocity 0.2398 rad/s; 2: Profile Velocity 0.01 s\n' in line
+
+
 def test_addresses_and_their_data_written_at_once_go_together():
     """As a robot does that sets up all at its start: 28 addresses, then the data behind them."""
     now = struct.pack('<28H', *POSITION, *range(300, 324)) + struct.pack('<i', 2048)
@@ -557,6 +567,13 @@ def test_a_question_that_is_not_answered_may_be_a_status(protocol):
     lines = dump('-', '--protocol', protocol, feed=data).splitlines()
     assert any('undecided' in line and 'Ping, or a status; 01 02 01' in line for line in lines)
     assert not objects('-', '--protocol', protocol, '--errors', feed=data)
+
+
+def test_an_instruction_of_1_0_with_the_code_of_a_status_of_2_0_is_unknown():
+    data = dxl1_packet.encode(BROADCAST, STATUS) + dxl1_packet.encode(1, 1)
+    unknown, ping = objects('-', '--protocol', '1', feed=data)
+    assert (unknown['id'], unknown['instruction'], ping['instruction']) \
+        == (BROADCAST, 'instruction 0x55', 'Ping')
 
 
 @pytest.mark.parametrize(('code', 'front', 'dialect'), [

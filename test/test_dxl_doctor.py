@@ -18,6 +18,7 @@ import signal
 import socket
 import subprocess
 import sys
+import textwrap
 import zipfile
 
 import forked
@@ -190,6 +191,16 @@ def test_it_is_one_screen(faults):
     assert max(map(len, lines)) <= 80
     assert 'Heard, Dynamixel 2.0:' in lines
     assert len(found.wrong) >= (0, 1, 2, 3)[FAULTS.index(faults)]
+
+
+def test_a_larger_terminal_has_room_for_the_evidence():
+    found = said(heard('silent:4:2'))
+    [small], [large] = ([line for line in lines if 'Evidence: ' in line]
+                        for lines in (screen(found), screen(found, width=200, height=50)))
+    assert len(small) < len(large) <= 99
+    whole = textwrap.wrap(f'Evidence: {found.wrong[0].evidence}', 95)
+    assert [line.strip() for line in screen(found, width=200, height=50)
+            if line.strip() in whole] == whole
 
 
 def test_a_hundred_devices_are_one_screen_too():
@@ -412,6 +423,13 @@ def test_a_text_that_is_not_known_is_one_line():
     assert (done.returncode, done.stdout, done.stderr.count('\n')) == (1, '', 1)
     done = doctor('--explain', 'Ther is not status paket')
     assert 'did you mean "[TxRxResult] There is no status packet!"' in done.stderr
+
+
+def test_what_explain_prints():
+    text = '\n'.join(explain.lines(explain.find('[RxPacketError] Overload error!')))
+    assert 'hardware error' in text
+    assert '  Possible causes, the likeliest first: .' not in explain.lines(explain.explanations())
+    assert max(map(len, text.splitlines())) <= 80
 
 
 @pytest.fixture

@@ -446,6 +446,19 @@ def test_a_port_that_another_program_stopped_takes_bytes():
         port.close()
 
 
+def test_who_shares_a_pty_is_told_and_who_made_it_is_not():
+    makes = '_, near = os.openpty(); print(os.ttyname(near), flush=True)'
+    opens = 'os.open(sys.argv[1], os.O_NOCTTY); print(flush=True)'
+    with pipes(makes) as bus:
+        path = bus.stdout.readline().strip()
+        assert preflight.warnings(path) == []
+        with pipes(opens, path) as other:
+            other.stdout.readline()
+            [reason] = preflight.warnings(path)
+    assert reason.kind == 'busy'
+    assert re.fullmatch(rf'\S+ \(pid {other.pid}\) has it open too', reason.reason)
+
+
 def pipes(script, *arguments):
     """Start a program that ends with its standard input."""
     return subprocess.Popen([sys.executable, '-c', f'import os, sys; {script}; sys.stdin.read()',

@@ -72,6 +72,18 @@ def test_robots_are_told_apart_and_a_namespace_has_its_own():
     assert exit_code(alone) == 0
 
 
+def test_what_is_no_longer_reported_is_silent_and_then_gone():
+    robot = SyntheticRobot({'': ((1, 'MX-64', ''),)})
+    state = told(robot)
+    lines = status_lines(state, 105.0)
+    assert [(line.what, line.message) for line in lines if line.what == 'bus'] == [
+        ('bus', 'No report from dxl_monitor: nothing is known of its 1 device; last report 5 s '
+                'ago')]
+    assert exit_code(state) == 3
+    state.take(OVERVIEW, serialise(robot.overview(170.0)[:1]), 170.0)   # its bus lives, it not
+    assert [line.what for line in status_lines(state, 170.0) if line.what == '001'] == []
+
+
 def test_nothing_of_others_and_no_control_codes():
     state = State()
     assert exit_code(state) == 1
