@@ -14,8 +14,6 @@ from msg_defs.dxl1_packet import encode as encode_1
 from msg_defs.dxl_instruction import Instruction as I
 from rigs.bus import frames
 from rigs.bus import uart
-from rigs.bus.uart import Line
-from rigs.bus.uart import Pulse
 from servobus.doctor import bit_errors
 from servobus.doctor.bit_errors import DamagedPacket
 from servobus.doctor.bit_errors import ExpectedPacket
@@ -42,23 +40,6 @@ def looks(noise, due=(DUE,)):
 
 
 # --- the line ----------------------------------------------------------------------------------
-
-@pytest.mark.parametrize('line', [
-    Line(noise=0.05), Line(clock=1.03), Line(clock=0.97), Line(rise=0.3, fall=0.3),
-    Line(lift=0.2)], ids=['noise', 'slow clock', 'fast clock', 'edges', 'ground'])
-def test_a_line_that_is_good_enough_says_what_was_sent(line):
-    data = bytes(range(256))
-    assert uart.received(data, line, Random(1)) == data
-
-
-def test_a_pulse_turns_over_the_bit_on_which_it_falls():
-    begin = uart.IDLE + 10 + 1 + 3                     # second byte, behind its start bit: bit 3
-    pulse = Pulse(begin, begin + 1, 1.2)
-    assert uart.received(b'\x55\x00\x55', Line(pulses=(pulse,)), Random(1)) == b'\x55\x08\x55'
-
-
-def test_a_clock_that_is_slow_reads_the_bit_before_the_last_twice():
-    assert uart.received(b'\x40', Line(clock=1.068), Random(1)) == b'\xc0'
 
 
 # --- which bits turned over ---------------------------------------------------------------------

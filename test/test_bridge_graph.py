@@ -1,13 +1,14 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """Which publisher of cmd_vel is followed, and what is said of the others. No ROS here."""
+from pathlib import Path
+
 import pytest
+import yaml
 
 from mecarover_serial.namesakes import Namesakes
 from mecarover_serial.namesakes import node_name
-from vel2d_bridge.bridge_settings import AUTO
 from vel2d_bridge.bridge_settings import TWIST
-from vel2d_bridge.bridge_settings import TWIST_STAMPED
 from vel2d_bridge.graph import Absence
 from vel2d_bridge.graph import Choice
 from vel2d_bridge.graph import choose
@@ -19,43 +20,23 @@ LOSSY = PLAIN._replace(node='/joystick', reliable=False)
 STAMPED = Publisher('/planner', 'geometry_msgs/msg/TwistStamped', reliable=True)
 CHATTER = Publisher('/talker', 'std_msgs/msg/String', reliable=True)
 MISFIT = PLAIN._replace(node='/misfit', conflict='Best effort publisher, reliable subscription')
+PUBLISHERS = {'plain': PLAIN, 'lossy': LOSSY, 'stamped': STAMPED, 'chatter': CHATTER,
+              'misfit': MISFIT}
+ROWS = yaml.safe_load(Path(__file__).with_name('publishers.yaml').read_text())
 TOPIC = '/cmd_vel'
 S = 1_000_000_000
 
 
-@pytest.mark.parametrize(('setting', 'current', 'publishers', 'choice'), [
-    (AUTO, (TWIST, True), [], (TWIST, True)),                       # no publisher: no change
-    (AUTO, (TWIST_STAMPED, False), [], (TWIST_STAMPED, False)),
-    (AUTO, (TWIST, True), [STAMPED], (TWIST_STAMPED, True)),
-    (AUTO, (TWIST_STAMPED, True), [PLAIN], (TWIST, True)),
-    (AUTO, (TWIST, True), [STAMPED, PLAIN], (TWIST, True)),         # two types: what runs stays
-    (AUTO, (TWIST_STAMPED, True), [STAMPED, PLAIN], (TWIST_STAMPED, True)),
-    (AUTO, (TWIST, True), [STAMPED, CHATTER], (TWIST_STAMPED, True)),
-    (AUTO, (TWIST, True), [CHATTER], (TWIST, True)),                # a type of no command
-    (TWIST, (TWIST, True), [STAMPED], (TWIST, True)),               # as set
-    (TWIST_STAMPED, (TWIST, True), [], (TWIST_STAMPED, True)),
-    (AUTO, (TWIST, True), [LOSSY], (TWIST, False)),
-    (AUTO, (TWIST, True), [LOSSY, PLAIN], (TWIST, False)),          # one is enough
-    (AUTO, (TWIST, False), [PLAIN, STAMPED], (TWIST, True)),        # only those that are heard
-])
-def test_choice(setting, current, publishers, choice):
+@pytest.mark.parametrize(('setting', 'current', 'names', 'choice'), ROWS['choice'])
+def test_choice(setting, current, names, choice):
+    publishers = [PUBLISHERS[name] for name in names]
     assert choose(setting, Choice(*current), publishers) == Choice(*choice)
     assert choose(setting, Choice(*current), publishers[::-1]) == Choice(*choice)
 
 
-@pytest.mark.parametrize(('publishers', 'parts'), [
-    ([], []),
-    ([PLAIN], []),
-    ([PLAIN, STAMPED], [['/planner is not heard', 'TwistStamped', 'the bridge subscribes twist',
-                         'set message_type']]),
-    ([CHATTER], [['/talker is not heard', 'std_msgs/msg/String']]),
-    ([MISFIT], [['/misfit is not heard', MISFIT.conflict, 'qos_overrides']]),
-    ([PLAIN, LOSSY], [['2 publishers compete (/joystick, /teleop)', 'twist_mux']]),
-    ([PLAIN, MISFIT], [['/misfit is not heard']]),          # not heard: no conflict
-    ([PLAIN, LOSSY, STAMPED], [['/planner'], ['2 publishers']]),
-])
-def test_complaints(publishers, parts):
-    lines = complaints(Choice(TWIST, True), publishers, TOPIC)
+@pytest.mark.parametrize(('names', 'parts'), ROWS['complaints'])
+def test_complaints(names, parts):
+    lines = complaints(Choice(TWIST, True), [PUBLISHERS[name] for name in names], TOPIC)
     assert len(lines) == len(parts)
     for line, expected in zip(lines, parts, strict=True):
         assert line.startswith(f'{TOPIC}: ')                        # thing: reason; remedy
@@ -98,15 +79,8 @@ NAME = '/rover1/vel2d_bridge'
 ONE, OTHER = ('vel2d_bridge', '/rover1'), ('vel2d_bridge', '/rover2')
 
 
-@pytest.mark.parametrize(('looks', 'said'), [
-    # (s after the start, nodes of our name): which of the looks complain.
-    ([(0, 1), (2, 1), (4, 1), (30, 1)], []),
-    ([(0, 1), (2, 1), (4, 2), (5, 1)], [4]),                # it came after us: it lives
-    ([(0, 1), (2, 2), (4, 2), (20, 2), (22, 1)], []),       # the one that we replace
-    ([(0, 2), (2, 2), (4, 2), (24, 2), (25, 2)], [25]),     # a killed one is forgotten by then
-    ([(2, 2), (4, 2), (5, 3), (22, 2), (30, 2)], [5, 30]),
-    ([(2, 2), (4, 2), (20, 1), (21, 2)], [21]),
-])
+@pytest.mark.parametrize(('looks', 'said'), yaml.safe_load(
+    Path(__file__).with_name('namesakes.yaml').read_text(encoding='utf-8')))
 def test_a_node_of_our_name_is_said(looks, said):
     namesakes = Namesakes(NAME, 10 * S)
     lines = {at: namesakes.complaints([OTHER, *count * [ONE]], (10 + at) * S)

@@ -9,7 +9,6 @@ busy machine may hold up: LATE_S is added where a bound is shorter than what suc
 import math
 import signal
 import socket
-import subprocess
 import threading
 import time
 
@@ -17,7 +16,6 @@ from harness import bridge
 from harness import DEADLINE_S
 from harness import LATE_S
 from harness import Mcu
-from harness import Program
 from harness import wait
 import pytest
 
@@ -25,7 +23,6 @@ from msg_defs.crc import crc32_mpeg2_words
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
-from servobus.port.inspection import INSPECT_EVERY_S
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1)]
 TIME_OUT_BOUND = 0.5 + 2 / 20 + 0.05 + 0.3      # cmd_vel_timeout, resends, write_timeout, queue
@@ -70,23 +67,6 @@ def test_vector_when_the_crc_unit_is_fed_words(ros, graph, tmp_path):
             bridge(mcu, '-r', '__ns:=/words', crc_input='words'):
         drive(mcu, graph.publisher('/words/cmd_vel'), ros.twist(*DRIVE), DRIVE)
         assert mcu.totals()['crc_err'] == 0
-
-
-def test_who_opens_the_port_beside_it_is_named_at_once(ros, graph, tmp_path):
-    """And no longer than it has it open; one that has closed it by then is said too."""
-    opens = 'import os, sys, time; os.open(sys.argv[1], os.O_NOCTTY); time.sleep(99)'
-    with Mcu(str(tmp_path / 'mcu')).running() as mcu, \
-            bridge(mcu, '-r', '__ns:=/beside') as running:
-        graph.wait_status(f'beside/{LINK}', 'open', level=0)
-        begin = time.monotonic()
-        for _ in range(2):
-            with Program('', mcu.path, script=opens) as other:
-                graph.wait_status(f'beside/{LINK}', f'(pid {other.pid}) has it open too', level=1)
-            graph.wait_status(f'beside/{LINK}', 'open', level=0)
-        subprocess.run(['sh', '-c', 'echo AT > "$0"', mcu.path], check=True)
-        running.wait_for('WARN', 'another program opened it for a moment')
-        graph.wait_status(f'beside/{LINK}', 'open', level=0)
-        assert time.monotonic() - begin < INSPECT_EVERY_S / 1.5           # none of it by the poll
 
 
 @pytest.mark.parametrize('watchdog', [False, True])

@@ -53,14 +53,6 @@ def running(mcu):
         assert 'Traceback' not in running.text
 
 
-def test_the_file_of_defaults_is_complete_and_explained():
-    values = yaml.safe_load(CONFIG.read_text())['/**']['ros__parameters']
-    assert values == {parameter.name: parameter.default for parameter in PARAMETERS}
-    text = CONFIG.read_text().split('ros__parameters:')[1]
-    for block in text.strip().split('\n\n'):
-        assert block.strip().startswith('#'), f'no comment: {block}'
-
-
 def test_every_parameter_describes_itself(graph, running):
     descriptors = graph.describe(NODE, [parameter.name for parameter in PARAMETERS])
     for parameter in PARAMETERS:
@@ -249,40 +241,14 @@ def test_without_room_in_shared_memory_it_stops_the_rover_all_the_same(mcu):
         assert running.exit_code() == 0, running.text
 
 
-@pytest.mark.parametrize(('options', 'code', 'line'), [
-    ({'port': '/tmp'}, 1, '/tmp: a directory; give the port itself; '),
-    ({'port': "''"}, 2, 'port: none given; set a path, as /dev/ttyAMA0'),
-    ({'port': 'socket://rover'}, 1,
-     'socket://rover: not a URL that pyserial knows (it has no port number)'),
-    ({'disabled_file': '/tmp'}, 2, 'disabled_file: /tmp is a folder; set a file in it'),
-    ({'port': '/dev/null'}, 1, '/dev/null: a device, but not a serial port; '),
-    ({'port': 'nonsense://x'}, 1, 'nonsense://x: not a URL that pyserial knows'),
-    ({'baud': 3}, 2, 'baud: 3 is not possible; set an integer in bit/s'),
-    ({'baud': 'fast'}, 2, "baud: 'fast' is not possible; set an integer in bit/s"),
-    ({'max_rate': 1000.0}, 2, 'max_rate: 1000.0 is not possible; set a double in Hz'),
-    ({'max_rate': '[30.0, 31.0]'}, 2, 'max_rate: [30.0, 31.0] is not possible; set a double'),
-    ({'message_type': 'joy'}, 2, "message_type: 'joy' is not possible; set a string (auto, "),
-    ({'use_sim_time': 1}, 2, "Trying to set parameter 'use_sim_time' to '1'"),
-    ({'qos_overrides./cmd_vel.subscription.reliability': 'some'}, 2,
-     'qos_overrides./cmd_vel.subscription: '),
-    ({'qos_overrides./cmd_vel.subscription.depth': '-1'}, 2,
-     'qos_overrides./cmd_vel.subscription: '),
-])
+@pytest.mark.parametrize(('options', 'code', 'line'), yaml.safe_load(
+    Path(__file__).with_name('bridge_mistakes.yaml').read_text(encoding='utf-8')))
 def test_mistakes_that_end_it(mcu, options, code, line):
     with bridge(mcu, **options) as running:
         assert running.exit_code() == code
     [said] = running.said('vel2d_bridge: ' + line)
     assert '; ' in said
     assert 'Traceback' not in running.text
-
-
-def test_a_baud_that_the_port_refuses(ros):
-    """As an adapter does that has a ceiling; a pty takes every rate, so the driver is patched."""
-    script = ('import sys; from servobus.port import serial_port; from vel2d_bridge import main\n'
-              'serial_port._BAUD_TOLERANCE = -1\nsys.exit(main.main())')
-    with Pty() as pty, bridge(pty, script=script, baud=4_000_000) as running:
-        assert running.exit_code() == 1
-    assert running.said(f'{pty.path}: the driver sets')
 
 
 def test_the_command_line_wins_over_a_file_of_another_type(graph, mcu, tmp_path):

@@ -85,19 +85,6 @@ def test_two_types_at_once(ros, graph, mcu, running, operator):
     assert Vel2d(0.9, 0.0, 0.0) not in {frame.velocity for frame in mcu.arrivals}
 
 
-def test_a_type_that_is_no_command(ros, graph, running, operator):
-    with operator('chatterbox', ros.String):
-        graph.wait_status(
-            COMMANDS, '/chatterbox is not heard, as it publishes std_msgs/msg/String', level=1)
-
-
-def test_several_publishers(ros, graph, running, operator):
-    with operator('planner', ros.Twist), operator('joystick', ros.Twist):
-        graph.wait_status(COMMANDS, '2 publishers compete (/joystick, /planner)',
-                          'use twist_mux', level=1)
-        running.wait_for('WARN', '2 publishers compete')
-
-
 def is_subscribed(graph, reliability):
     found = graph.node.get_subscriptions_info_by_topic('/teleop/cmd_vel')
     return [one.qos_profile.reliability.name for one in found] == [reliability]
@@ -108,13 +95,6 @@ def test_reliability_follows(ros, graph, mcu, operator):
         with operator('teleop', ros.Twist, ros.qos(1, reliable)) as publisher:
             wait(partial(is_subscribed, graph, name))
             drives(ros, mcu, publisher, lambda: ros.twist(0.3))
-
-
-def test_stream_that_is_too_slow(ros, graph, operator):
-    with operator('slow', ros.Twist) as publisher, \
-            ros.Teleop(publisher, lambda: ros.twist(0.3), rate=1 / 0.6):
-        graph.wait_status(COMMANDS, 'a command every 0.6', 'slower than cmd_vel_timeout (0.5 s)',
-                          'the rover stops in between', level=1)
 
 
 def test_limits_keep_the_direction(ros, graph, mcu, operator):

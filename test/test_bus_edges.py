@@ -8,7 +8,6 @@ from doctor_case import notes_of
 import pytest
 import yaml
 
-from msg_defs.dxl1_packet import encode as encode_1
 from msg_defs.dxl_instruction import Access
 from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import Instruction as I
@@ -25,10 +24,7 @@ from msg_defs.frame import IS_STATUS
 from servobus.bus import evidence as ev
 from servobus.bus import unread
 from servobus.bus.decoder import BusDecoder
-from servobus.bus.decoder import Settings
 from servobus.bus.device import Device
-from servobus.bus.dialect import DYNAMIXEL_AT
-from servobus.bus.dialect import FEETECH_AT
 from servobus.bus.evidence import Evidence
 from servobus.bus.evidence import text_of
 from servobus.bus.expected import Expected
@@ -42,13 +38,15 @@ from servobus.bus.planner import Planner
 from servobus.bus.registry import DeviceRegistry
 from servobus.bus.reply_policy import OpenQuestion
 from servobus.bus.reply_policy import ReplyPolicy
-from servobus.bus.report import Counts
 from servobus.bus.report import Wait
 from servobus.bus.table import NO_SPAN
 from servobus.bus.table import READ
 from servobus.bus.table import Table
 from servobus.bus.tracker import Tracker
 from servobus.model.models import Models
+
+ROWS = yaml.safe_load(
+    Path(__file__).with_name('bus_edges.yaml').read_text(encoding='utf-8'))
 
 MODELS = Models()
 S = 1_000_000_000
@@ -61,10 +59,6 @@ def registry(*expected, baud=1_000_000):
 
 def notes(one):
     return [(note.kind, note.device, note.detail) for note in one._evidence.incidents]
-
-
-def test_what_a_bus_is_taken_for_where_nothing_is_said():
-    assert Settings() == (2_000_000, (), 4, 1.0, 5.0, 'auto', 0.0, 'auto')
 
 
 # --- the log ---------------------------------------------------------------------------------
@@ -126,37 +120,15 @@ def test_a_damaged_frame_is_noted_by_what_is_wrong(kind, code, reason, expected,
     assert (found.kind, found.device, found.detail) == expected
 
 
-def packet_1(number, size):
-    """Return a packet of Protocol 1.0 with this Length."""
-    return encode_1(number, 0, bytes(size - 2))
-
-
-@pytest.mark.parametrize(('noise', 'fresh', 'devices'), [
-    (packet_1(9, 2), 1, [9]), (packet_1(9, 2), 6, [9]), (packet_1(9, 2) + b'\0', 1, []),
-    (packet_1(9, 2) + b'\0', 2, [9]), (b'\0' + packet_1(0, 0x40), 1, [0]),
-    (packet_1(9, 0x41), 80, []), (packet_1(0xFC, 2), 6, [0xFC]), (packet_1(0xFD, 2), 6, []),
-    (packet_1(9, 2) + packet_1(8, 3), 99, [9, 8]), (packet_1(9, 2)[:-1] + b'\0', 6, []),
-    (packet_1(9, 4)[:-1], 7, []), (b'\xff' + packet_1(9, 2), 6, [9]),
-])
+@pytest.mark.parametrize(('noise', 'fresh', 'devices'), ROWS['noise'])
 def test_packets_of_protocol_1_in_noise(noise, fresh, devices):
     evidence = Evidence()
-    evidence.search_noise(noise, fresh, 5)
+    evidence.search_noise(bytes.fromhex(noise), fresh, 5)
     assert [(one.stamp, one.kind, one.device, one.detail) for one in evidence.incidents] \
         == [(5, ev.PROTOCOL_1, number, ev.Code(0)) for number in devices]
 
 
 # --- devices ---------------------------------------------------------------------------------
-
-def test_counts_of_a_window_and_their_loss():
-    before, now = Counts(answers=2, missed=1, alerts=4), Counts(answers=5, missed=2, alerts=4)
-    window = now.since(before)
-    assert (window.answers, window.missed, window.alerts) == (3, 1, 0)
-    assert (window.asked, window.loss) == (4, 0.25)
-    assert Counts().loss == 0.0
-    twin = now.copy()
-    twin.answers += 1
-    assert now.answers == 5
-    assert dict(now.published())['Missed Answers'] == 2
 
 
 @pytest.mark.parametrize(('after_ns', 'is_late'), [(99_999_999, True), (100_000_000, False)])
@@ -183,10 +155,6 @@ def test_an_absence_is_noted_from_50_ms_on(away_ms, is_noted):
     one.accept_status(device, 0, 2 * S + int(away_ms * MS))
     assert notes(one) == [(ev.RETURNED, 4, ev.SilentFor(50, 1, 1))] * is_noted
     assert device.missed_in_a_row == 0
-
-
-def test_of_a_device_that_never_answered_no_latency_is_told():
-    assert Device(1).latency_report(S) == (None, None, 0.0)
 
 
 def test_an_id_that_no_device_can_have_gets_none():
@@ -223,12 +191,6 @@ def test_who_says_the_same_of_himself_again_stays_who_he_is():
     device.accept_pong(NO_SPAN, b'', S, READ)
     device.identify(b'\x38\x01', S)           # it was read
     assert device.counts.pongs == 5
-
-
-def test_a_register_is_named_where_its_model_is_known():
-    one = registry(Expected(4, 'XL430-W250'))
-    assert [one.register_name(number, 132) for number in (4, 5)] == ['Present Position', '132']
-    assert one.register_name(4, 5000) == '5000'
 
 
 def test_an_offset_is_noted_when_it_changes():
@@ -290,16 +252,10 @@ def due(level, asked, write_acks='auto', acks=None, missing=0, missed=0):
     return duty.is_due(Slot(device, asked, 0, 0, ignore_data))
 
 
-@pytest.mark.parametrize(('parts', 'expected'), [
-    ((0, Due.READ), False), ((1, Due.READ), True), ((None, Due.READ), True),
-    ((0, Due.ALWAYS), True), ((None, Due.ACK), False), ((None, Due.ACK, 'always'), True),
-    ((2, Due.ACK, 'never', True), False), ((2, Due.ACK, 'auto', True), True),
-    ((1, Due.ACK, 'auto', False), False), ((2, Due.ACK, 'auto', True, 1), True),
-    ((2, Due.ACK, 'auto', True, 2), False), ((2, Due.ACK, 'auto', True, 2, 1), False),
-    ((2, Due.ACK, 'auto', True, 2, 2), True),
-])
+@pytest.mark.parametrize(('parts', 'expected'), ROWS['due'])
 def test_whether_an_answer_had_to_come(parts, expected):
-    assert due(*parts) is expected
+    level, asked, *more = parts
+    assert due(level, Due[asked], *more) is expected
 
 
 def test_the_first_miss_and_the_one_over_the_limit_are_noted():
@@ -393,14 +349,11 @@ def plan_of(*numbers):
             number: Slot(Device(number), Due.READ, 132, 4, ignore_data) for number in numbers})
 
 
-@pytest.mark.parametrize(('silent', 'spoke', 'expected'), [
-    ((2, 3), set(), (1, 2)), ((3,), set(), (1, 3)), ((1,), set(), (1, 1)),
-    ((1, 3), set(), (2, 3)), ((1, 2, 3), set(), (1, 1)), ((2, 3), {2}, (1, 2)),
-    ((1, 2, 3), {1}, (1, 1)),
-])
+@pytest.mark.parametrize(('silent', 'spoke', 'expected'), ROWS['turn'])
 def test_who_had_its_turn(silent, spoke, expected):
     plan = plan_of(1, 2, 3)
-    assert plan.served([plan.slots[number] for number in silent], spoke) == expected
+    assert plan.served([plan.slots[number] for number in silent], {*spoke}) \
+        == tuple(expected)
     assert (plan.size, plan.address) == (14, 132)
 
 
@@ -421,14 +374,6 @@ def test_plans_are_counted_and_forgotten_without_losing_counts():
     assert planner.has_answer(3, 4)
     assert not planner.has_answer(3, 3)
     assert not planner.has_answer(4, 4)
-
-
-def test_an_answer_is_looked_for_in_the_first_64_plans():
-    one = registry()
-    planner = Planner(one, one._evidence)
-    for number in range(65):
-        planner.plan_for((INSTRUCTION_2, number, int(I.READ), b'\x84\0\4\0'), S)
-    assert [planner.has_answer(number, 4) for number in (0, 63, 64)] == [True, True, False]
 
 
 def test_64_lists_of_sync_writes_are_kept():
@@ -459,21 +404,6 @@ def test_what_a_master_did_not_stuff_is_noted(data, detail, noise):
 
 
 # --- dialects and unknown devices ---------------------------------------------------------------
-
-@pytest.mark.parametrize(('places', 'name', 'told'), [
-    (DYNAMIXEL_AT, 'AX-12A', {
-        'Torque Enable': {1}, 'LED': {1}, 'Goal Position': {2, 4}, 'Goal Velocity': {2},
-        'Present Position': {2, 4, 6, 8}}),
-    (FEETECH_AT, 'STS3215', {
-        'Acceleration': {7}, 'Goal Position': {2, 6}, 'Lock': {1},
-        'Present Position': {2, 4, 6, 8, 15}, 'Present Velocity': {2}, 'Present Load': {2},
-        'Present Input Voltage': {1}, 'Present Temperature': {1}}),
-])
-def test_the_places_that_tell_a_dialect_are_registers_of_it(places, name, told):
-    model = MODELS.by_name(name)
-    assert {(model.by_address[at].name, size) for at, size in places} \
-        == {(register, size) for register, sizes in told.items() for size in sizes}
-    assert {at + size for at, size in places} <= {field.end for field in model.fields}
 
 
 def ping_1(number, noise=0):

@@ -45,12 +45,6 @@ def test_what_is_to_be_done_beside_the_bus_is_a_warning(heard, problem, level, m
     assert (status.level, status.message) == (level, message)
 
 
-def test_without_a_warning_it_is_as_heard():
-    report = REPORT._replace(level=Level.OK, message='as heard')
-    status = bus_status('dxl_monitor', 'arm', report, PortState('port', '', ()), False)
-    assert (status.level, status.message) == (Level.OK, 'as heard')
-
-
 def test_every_counter_with_a_key_is_published_in_its_status():
     """A new counter takes two edits: its line in Counts and the place that counts."""
     shown = [one for one in fields(Counts) if one.metadata]
@@ -72,9 +66,11 @@ def test_every_key_that_programs_read_is_documented(key):
 def test_a_finding_carries_how_bad_it_is():
     found = (Finding('noise', Level.WARN, None, 'check the cable'),
              Finding('too_hot', Level.ERROR, 3, 'let it cool'))
-    status = bus_status('dxl_monitor', '', REPORT._replace(findings=found),
+    unknown = Finding('too_hot', Level.WARN, 1, 'never read')
+    status = bus_status('dxl_monitor', '', REPORT._replace(findings=found, doubts=(unknown,)),
                         PortState('port', '', ()), False)
-    assert ('severity.noise', 'warn') in status.values
+    assert {('severity.noise', 'warn'), ('cannot tell.too_hot', '001: never read')} <= {
+        *status.values}
     [device] = ONE_DEVICE.devices
     assert device_status('dxl_monitor', '', device, found, False).values[-2:] \
         == [('finding.too_hot', 'let it cool'), ('severity.too_hot', 'error')]

@@ -4,7 +4,6 @@
 import io
 import os
 import re
-import resource
 
 from harness import wait
 from hypothesis import given
@@ -141,14 +140,6 @@ def test_nothing_is_written_to_a_port_or_over_a_file_that_is_no_capture(tmp_path
     assert notes.read_text() == 'keep me'
 
 
-def test_an_older_capture_may_be_overwritten(tmp_path):
-    path = tmp_path / 'bus.txt'
-    path.write_bytes(written(Chunk(1, 'bus', b'\x01')))
-    with open_new(path) as file:
-        file.write(b'')
-    assert path.read_bytes() == b''
-
-
 def test_the_recorder_rotates_and_loses_nothing(tmp_path):
     path = tmp_path / 'bus.txt'
     recorder = Recorder(str(path), 2000, 3, lambda: NOW)
@@ -192,20 +183,6 @@ def test_a_full_disk_ends_the_capture_and_is_told(tmp_path):
     assert recorder.words.startswith('capture stopped: /dev/full: No space left on device; ')
     recorder.record_chunk(WIRE, Chunk(2, WIRE.name, b'\x01'))
     recorder.stop()
-
-
-def test_a_file_that_may_not_grow_ends_the_capture(tmp_path):
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    recorder = Recorder(str(tmp_path / 'bus.txt'), 10**6, 2)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
-    try:
-        recorder.start()
-        recorder.record_chunk(WIRE, Chunk(1, WIRE.name, b'\x01' * 20_000))
-        wait(lambda: recorder.problem)
-        recorder.stop()
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert 'File too large' in recorder.problem
 
 
 def test_a_disk_that_stands_still_costs_bytes_and_says_so(tmp_path, monkeypatch):

@@ -7,6 +7,7 @@ from pathlib import Path
 import random
 
 import pytest
+import yaml
 
 from rigs.tables import rows_of
 from servobus.bus.table import READ
@@ -37,21 +38,9 @@ def test_spot(name, register, raw, unit, text):
     assert field.key == (f'{register} ({unit})' if unit else register)
 
 
-@pytest.mark.parametrize(('name', 'selector', 'code', 'register', 'raw', 'key', 'text'), [
-    ('XL430-W250', 'Drive Mode', 0, 'Profile Velocity', 100, 'Profile Velocity (rad/s)', '2.3981'),
-    ('XL430-W250', 'Drive Mode', 4, 'Profile Velocity', 100, 'Profile Velocity (s)', '0.1'),
-    ('XL430-W250', 'Drive Mode', 5, 'Profile Acceleration', 50,
-     'Profile Acceleration (s)', '0.05'),
-    ('XL430-W250', None, 0, 'Profile Velocity', 100, 'Profile Velocity', '100'),
-    ('XL-320', 'Control Mode', 2, 'Present Speed', 1324, 'Present Speed (rad/s)', '-3.4872'),
-    ('XL-320', 'Control Mode', 1, 'Moving Speed', 512, 'Moving Speed (%)', '51.2'),
-    ('XM540-W270', 'External Port Mode 2', 0, 'External Port Data 2', 4095,
-     'External Port Data 2 (V)', '3.3'),
-    ('XM540-W270', 'External Port Mode 2', 1, 'External Port Data 2', 1,
-     'External Port Data 2', '1'),
-    ('FFW-G10-RCU', 'Motor3 Drive Mode', 0, 'Motor3 Present Current', -250,
-     'Motor3 Present Current (A)', '-2.5'),
-])
+@pytest.mark.parametrize(
+    ('name', 'selector', 'code', 'register', 'raw', 'key', 'text'), yaml.safe_load(
+        Path(__file__).with_name('register_meanings.yaml').read_text(encoding='utf-8')))
 def test_a_meaning_hangs_on_another_register(name, selector, code, register, raw, key, text):
     model, table = named(name), Table()
     table.limit = size_of(model)

@@ -2,11 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where a cycle's time goes: masters with planted delays, in simulated time."""
 
+from pathlib import Path
 import random
 
 import pytest
 from tracked_bus import reply
 from tracked_bus import words
+import yaml
 
 from msg_defs.dxl1_packet import encode as encode_1
 from msg_defs.dxl_packet import encode
@@ -64,12 +66,7 @@ SYNC_WRITE = encode(0xFE, 0x83, words(116, 4) + b''.join(
 PATTERNS = {
     'a Read each': lambda dead: [read(number, dead) for number in SIX],
     'Sync Read': lambda dead: [sync_read(dead)],
-    'Bulk Read': lambda dead: [listed(0x92, b''.join(
-        bytes((number,)) + words(132, 4) for number in SIX), dead)],
     'Sync Write': lambda dead: [SYNC_WRITE],
-    'Sync Read, Sync Write': lambda dead: [sync_read(dead), SYNC_WRITE],
-    'a Write each': lambda dead: [write(number) for number in SIX if number not in dead]
-    + [read(3, dead)],
     'Protocol 1.0': lambda dead: [
         (encode_1(number, 2, b'\x24\x02'),
          [] if number in dead else [(number, encode_1(number, 0, b'\x10\x02'))])
@@ -273,13 +270,8 @@ def test_a_pause_is_no_cycle():
     assert report.cycle.cycle == pytest.approx(14.08, abs=0.1)
 
 
-@pytest.mark.parametrize(('pattern', 'robot', 'dead', 'device', 'word'), [
-    ('a Read each', {'program_ms': 1, 'servo_ms': 0.2}, (), None, 'one Sync Read for all'),
-    ('a Read each', {'program_ms': 1, 'servo_ms': 0.1, 'timeout_ms': 100}, (3,), 3, 'time-out'),
-    ('Sync Read', {'program_ms': 1, 'servo_ms': 2.0}, (), None, 'latency timer'),
-    ('Sync Read', {'program_ms': 10, 'servo_ms': 0.1}, (), None, ''),
-    ('Protocol 1.0', {'program_ms': 1, 'servo_ms': 0.1}, (), None, ''),
-])
+@pytest.mark.parametrize(('pattern', 'robot', 'dead', 'device', 'word'), yaml.safe_load(
+    Path(__file__).with_name('cycle_advice.yaml').read_text(encoding='utf-8')))
 def test_what_takes_most_of_a_cycle_is_advice(pattern, robot, dead, device, word):
     report = Robot(**robot).run(pattern, dead)
     found = list(cycle_time.check(History(PARAMETERS).make_case(report)))

@@ -196,17 +196,6 @@ def test_a_finding_is_over_only_where_the_monitor_that_had_it_says_so():
                 'too hot: not known since the monitor was started again')]
 
 
-def test_a_bus_that_reports_again_has_the_level_of_what_it_reports():
-    """A green disc next to '0 of 24 devices answer' would say that all is well."""
-    robot = SyntheticRobot()
-    robot.lost, robot.bridge = {device[0] for device in robot.buses['']}, lambda time_s: []
-    robot.findings = [FINDINGS[0]._replace(
-        rule='none_answer', level=Level.ERROR, message='0 of 24 devices connected')]
-    assert written((100.0, robot), (106.0, None), (110.0, robot))[1:] == [
-        ('state', 3, 'bus', 'No report from dxl_monitor: nothing is known of its 24 devices'),
-        ('state', 2, 'bus', '0 of 24 devices answer')]
-
-
 @pytest.mark.parametrize('problem', ['lost', 'port'])
 def test_what_a_device_does_not_say_any_more_is_not_kept(problem):
     robot = SyntheticRobot()
@@ -331,14 +320,6 @@ def test_a_file_of_a_later_version_is_set_aside(path):
         HistoryWriter(path)
 
 
-def test_a_file_of_the_same_version_goes_on(path):
-    for at in (NIGHT, NIGHT + 600):
-        writer = HistoryWriter(path)
-        writer.write([window(at, 1.0)], [])
-        writer.close()
-    assert [one.at for one in read(path, NIGHT)[0]] == [NIGHT, NIGHT + 600]
-
-
 def test_a_link_in_place_of_the_lock_is_refused_and_its_target_left_alone(path):
     precious = path.with_name('precious')
     precious.write_text('kept')
@@ -363,12 +344,6 @@ def test_two_robots_on_one_machine(monkeypatch, tmp_path, capsys):
     first.close()
     second.close()
     HistoryRecorder(first.path).close()
-
-
-def test_a_place_that_cannot_be_written(tmp_path):
-    (tmp_path / 'file').touch()
-    with pytest.raises(HistoryError, match='file exists; give another file with --history'):
-        HistoryRecorder(tmp_path / 'file' / 'history.sqlite')
 
 
 @pytest.fixture

@@ -54,14 +54,6 @@ def key(name, **labels):
     return f'mecarover_{name}', tuple(sorted(labels.items()))
 
 
-def test_each_problem_of_a_bus_has_a_series():
-    robot = SyntheticRobot()
-    robot.lost, robot.faulty = {7}, {8}
-    found = samples(told(robot))
-    for problem in ('lost', 'error'):
-        assert found[key('problem', robot='', part='bus', problem=problem)] == 2
-
-
 def test_values():
     robot = SyntheticRobot()
     robot.warned, robot.findings = {7}, FINDINGS
@@ -86,14 +78,6 @@ def test_robots_and_buses_have_labels():
         == {'rover1', 'rover2'}
     assert {dict(labels)['bus'] for name, labels in found if name == 'mecarover_device_level'} \
         == {'left'}
-
-
-def test_what_is_not_reported_has_no_values():
-    state = told(SyntheticRobot())
-    state.expire(200.0)
-    found = samples(state)
-    assert found[key('device_level', **KNEE)] == 3
-    assert not any(name == 'mecarover_device_temperature_celsius' for name, _ in found)
 
 
 def test_what_a_servo_said_before_it_was_lost_is_no_value_of_now():

@@ -5,12 +5,10 @@ from importlib import util
 import re
 import signal
 
-import dashboard_page
 from harness import Program
 from harness import wait
 import pytest
 from synthetic_robot import SyntheticRobot
-from test_dashboard_browser import see
 from test_dashboard_server import signals
 from test_dashboard_server import Stream
 
@@ -87,39 +85,6 @@ def test_the_real_monitor_on_a_fake_bus(ros, tmp_path):
 
 
 @pytest.mark.ros
-@pytest.mark.skipif(bool(dashboard_page.why_not()), reason=dashboard_page.why_not() or 'runs')
-def test_every_view_of_the_real_robot(ros, tmp_path):
-    link, mcu = tmp_path / 'bus', tmp_path / 'mcu'
-    with Program('mecarover_fakes.fake_bus', '--link', str(link), '--devices', '1-3:MX-106',
-                 '4:BitFoot', *NOW_AND_THEN), \
-            Program('mecarover_fakes.fake_mcu', '--link', str(mcu)), Running() as dashboard:
-        wait(lambda: link.exists() and mcu.exists())
-        with Program('dxl_monitor.start', '--ros-args', '-p', f"ports:=['{link}']", '-p',
-                     "devices:=['1-3:MX-106','4:BitFoot']"), \
-                Program('vel2d_bridge.main', '--ros-args', '-p', f'port:={mcu}'), \
-                dashboard_page.browser() as chromium:
-            page = chromium.new_page()
-            complaints = []
-            page.on('console', lambda message: complaints.append(message.text))
-            page.on('pageerror', lambda error: complaints.append(str(error)))
-            page.goto(dashboard.line.split()[1])
-            see(page, '.bar', 'Lost: 002')
-            see(page, '.bar', '4/4')
-            see(page, '.tile', 'MX-106')
-            page.goto(f'{page.url}#/device/dxl_monitor: 001')
-            see(page, '.fields tr', 'Present Position.*rad.*read')
-            page.keyboard.press('3')
-            see(page, '.figures tr', 'time per buffer')
-            see(page, '.errors li', '002[\\s\\S]*no answer')
-            page.keyboard.press('4')
-            see(page, '.axes', 'stopped')
-            see(page, '.panel', 'Link.*open')
-            see(page, '.panel', 'Commands.*Topic')
-            assert complaints == []
-            page.close()
-
-
-@pytest.mark.ros
 def test_a_recording_shows_as_the_robot_did(ros, graph):
     """`ros2 bag play` publishes what was recorded: old stamps, no node of that name."""
     from rclpy.serialization import deserialize_message
@@ -179,11 +144,3 @@ def test_signal_while_it_starts(ros, imported):
     with Program('', script=INTERRUPTED.replace('IMPORTED', imported)) as dashboard:
         assert dashboard.exit_code() == 0, dashboard.text
     assert 'Traceback' not in dashboard.text
-
-
-@pytest.mark.ros
-def test_names_can_be_remapped(ros, graph):
-    """Several robots in one graph: each dashboard stands in the namespace of its robot."""
-    with Running('--ros-args', '-r', '__ns:=/left'):
-        wait(lambda: graph.node.count_subscribers('/left/dxl/diagnostics'))
-        assert graph.node.count_subscribers('/diagnostics')

@@ -3,12 +3,10 @@
 """What the dashboard makes of messages: rows, changes since a version, tables, age, limits."""
 
 import pytest
-from synthetic_robot import FINDINGS
 from synthetic_robot import serialise
 from synthetic_robot import SyntheticRobot
 
 from mecarover_dashboard import cdr
-from mecarover_dashboard import rows
 from mecarover_dashboard.state import FORGET_S
 from mecarover_dashboard.state import MOST_OF_MESSAGE
 from mecarover_dashboard.state import MOST_OF_STATUS
@@ -55,15 +53,6 @@ def test_the_format_is_that_of_ros(robot, ros):
     assert len(message.status) == len(robot.tables(3.0))
     again = cdr.statuses(serialize_message(message))
     assert [one.pairs() for one in again] == [one.pairs() for one in cdr.statuses(data)]
-
-
-def test_sections(robot):
-    changes = told(robot).changes(0)
-    assert {section: len(found) for section, found in changes.items()} \
-        == {'devices': 24, 'buses': 1, 'bridge': 2, 'timing': 8 + 6}
-    knee = changes['devices'][KNEE]
-    assert (knee['id'], knee['joint'], knee['model'], knee['state'], knee['level'], knee['bus']) \
-        == (7, 'left_knee', 'MX-106', 'connected', 0, '')
 
 
 def test_buses_are_told_apart():
@@ -119,14 +108,6 @@ def test_the_short_form_keeps_what_only_the_long_one_says(robot):
     assert any(field.key == 'Present Position (rad)' for field in state.table(KNEE).fields)
 
 
-def test_findings(robot):
-    robot.findings = FINDINGS
-    changes = told(robot).changes(0)
-    assert changes['buses']['dxl_monitor: bus']['findings'][0][0] == 'missing_termination'
-    assert changes['devices']['dxl_monitor: 012 right_ankle_roll']['findings'][0][0] \
-        == 'return_delay'
-
-
 def test_a_lost_device_does_not_hide_another_with_an_error(robot):
     robot.lost, robot.faulty, robot.warned = {7}, {8, 9}, {10}
     part = told(robot).parts()[0]
@@ -180,15 +161,6 @@ def test_a_field_that_was_not_seen_again_keeps_its_time():
     values[1] = ('observed', '{"ID":[20.4,"r"]}')
     take_one(one_device(values), state=state, now_s=100.55)
     assert state.table('dxl_monitor: 011') == first
-
-
-def test_reply_latency_of_a_device_is_for_those_who_look(robot):
-    state = told(robot)
-    told(robot, state, 101.0)
-    assert [point[0] for point in state.latency(KNEE, 0.0)] == [101.0] or \
-        [point[0] for point in state.latency(KNEE, 0.0)] == [100.0, 101.0]
-    assert state.latency(KNEE, 101.0) == []
-    assert not any('reply_latency' in name for name in state.changes(0)['timing'])
 
 
 def test_the_last_300_points_of_a_metric_are_kept():
@@ -296,11 +268,3 @@ def test_a_crowd_that_has_left_makes_room():
     assert [*state.changes(0)['devices']] == ['dxl_monitor: 012']
     assert state.bytes < 10_000
     assert state.changes(1)['devices']['node0: 011'] is None
-
-
-@pytest.mark.parametrize(('values', 'figures'), [
-    ([('p50 (ms)', '1.5'), ('p95 (ms)', '2'), ('max (ms)', '3')], [1.5, 2.0, 3.0]),
-    ([('p50 (ms)', 'nan'), ('max (ms)', 'inf')], [None, None, None]),
-    ([('value (%)', '42')], [42.0]), ([], [None])])
-def test_what_of_a_metric_is_plotted(values, figures):
-    assert rows.figures(values) == figures

@@ -5,7 +5,6 @@
 from dataclasses import replace
 from pathlib import Path
 import re
-import struct
 from typing import get_args
 
 import heard_bus
@@ -15,7 +14,6 @@ from heard_bus import READ
 from heard_bus import REPLY
 import pytest
 
-from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 from msg_defs.reports import Level
@@ -30,9 +28,6 @@ from servobus.doctor.rule import Rule
 from servobus.doctor.symptom import ContentSymptom
 from servobus.doctor.symptom import TrafficSymptom
 from servobus.monitor import Monitor
-from servobus.status import bus_status
-from servobus.status import device_status
-from servobus.status import PortState
 
 DOCS = Path(__file__).parents[1] / 'docs'
 TRACE = Path(__file__).parents[2] / 'shared' / 'data' / 'bus_trace_head.bin'
@@ -41,12 +36,6 @@ S = 1_000_000_000
 
 class Bus(heard_bus.Bus):
     every_ms = 10.0
-
-
-def read(address, data, error=0):
-    """Return a read of device 1 and its answer."""
-    return (encode(1, I.READ, struct.pack('<HH', address, len(data))),
-            encode(1, STATUS, data, error=error))
 
 
 # --- how claims stand ------------------------------------------------------------------------
@@ -134,15 +123,6 @@ def test_the_worst_comes_first_and_is_the_message(monkeypatch):
 # --- rules that no fault of the simulated bus makes true ---------------------------------------
 
 
-def test_without_the_limit_it_cannot_tell():
-    bus = Bus()
-    bus.hear(PING, encode(1, STATUS, b'\xf2\x03\x29', error=0), *read(146, b'\x60'))
-    report = bus.report()          # the factory limits of this model are not known here
-    assert report.findings == ()
-    assert ('too_hot', '001: Temperature Limit never read') in [
-        (doubt.rule, doubt.message) for doubt in report.doubts]
-
-
 @pytest.mark.parametrize(('identity', 'names', 'message'), [
     (b'', PARAMETERS, "connected; model unknown, so its registers have no names: add '1:MODEL' to "
      '`devices`, or let the master read Model Number'),
@@ -171,18 +151,6 @@ def test_the_robot_trace():
     bus = Bus()
     bus.hear(*(data[at:at + 400] for at in range(0, len(data), 400)), every_ms=2.0)
     assert set(names(bus.report())) == {('no_answer', 101), ('turnaround', None), ('noise', None)}
-
-
-def test_findings_and_doubts_are_keys_of_their_status():
-    bus = Bus()
-    pong = encode(1, STATUS, b'\xf2\x03\x29', error=0)
-    bus.hear(PING, pong, *read(146, b'\x60'), READ, encode(1, STATUS, bytes(4), error=0x80))
-    report = bus.report()
-    device = dict(device_status('n', '', report.devices[0], report.findings, False).values)
-    assert device['finding.hardware_error'].startswith('alert in its answers')
-    values = dict(bus_status('n', '', report, PortState('p', '', ()), False).values)
-    assert values['cannot tell.too_hot'] == '001: Temperature Limit never read'
-    assert not any(key.startswith('finding.') for key in values)
 
 
 def test_the_page_has_every_rule_and_no_other():

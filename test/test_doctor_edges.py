@@ -7,6 +7,8 @@ The cases are in doctor_edges.yaml, made by hand: what a bus must say to bring o
 test_doctor_evidence.py.
 """
 
+from pathlib import Path
+
 from doctor_case import asks
 from doctor_case import cases_of
 from doctor_case import claims
@@ -15,9 +17,11 @@ from doctor_case import MODELS
 from doctor_case import note
 from doctor_case import speaks_from_its_edge_on
 import pytest
+import yaml
 
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.reports import Level
+from rigs.tables import rows_of
 from servobus.bus import evidence as ev
 from servobus.bus.report import Counts
 from servobus.doctor.facts import FACTORY
@@ -46,18 +50,13 @@ def test_a_rule_speaks_from_its_edge_on(row):
     speaks_from_its_edge_on(*row)
 
 
-@pytest.mark.parametrize(('number', 'firmware', 'is_told'), [
-    *((number, 255, True) for number in (30, 311, 321)),
-    (29, 0, False), (312, 0, False), (320, 0, False), (999, 0, False), (1400, 0, False),
-    (1999, 0, False), (2130, 0, False),
-    (1000, 44, True), (1000, 45, False), (1189, 44, True), (1189, 45, False), (1190, 45, True),
-    (1190, 46, False), (1249, 45, True), (1250, 44, True), (1250, 45, False), (1399, 44, True),
-    (2000, 11, True), (2000, 12, False), (2129, 11, True), (None, 0, False), (1060, None, True),
-])
+@pytest.mark.parametrize(('number', 'firmware', 'is_told'), rows_of(
+    Path(__file__).with_name('fast_reads.tsv')))
 def test_the_firmware_from_which_on_fast_reads_are_known(number, firmware, is_told):
+    number, firmware = (None if one == '-' else int(one) for one in (number, firmware))
     one = device(model_number=number, firmware=firmware, totals={'answers': 9})
     assert len(claims('fast_read_unsupported', cycles=(asks(I.FAST_SYNC_READ, 1),), devices=[one],
-                      marks={10: {'totals': {1: Counts(answers=9)}}})) == is_told
+                      marks={10: {'totals': {1: Counts(answers=9)}}})) == (is_told == 'yes')
 
 
 # Baud codes of Feetech, and what LeRobot takes them for (its tables, commit 7427f31).
@@ -102,19 +101,10 @@ def test_three_that_are_near_a_limit_are_the_supply(volts, level):
 
 
 # Initial values of Temperature Limit (°C), Min and Max Voltage Limit (V), e-Manual.
-FROM_THE_FACTORY = {
-    **dict.fromkeys(('AX-12A', 'AX-18A', 'AX-12W'), (70, 6, 14)),
-    **dict.fromkeys(('MX-64', 'MX-106', 'MX-28', 'XM430-W350', 'XM430-W210'), (80, 9.5, 16)),
-    'XL430-W250': (72, 6, 14), 'XM540-W270': (80, 10, 16), 'XM540-W150': (80, 10, 16),
-    'XL330-M077': (70, 3.5, 7), 'XL330-M288': (70, 3.5, 7),
-}
 
 
-@pytest.mark.parametrize('name', FROM_THE_FACTORY)
-def test_the_limits_from_the_factory(name):
-    model = MODELS.by_name(name)
-    assert FACTORY[model.number or 0] == FROM_THE_FACTORY[name]
-
-
-def test_the_limits_of_the_mx_of_protocol_1():
-    assert [FACTORY[number] for number in (29, 310, 320, 360)] == [(80, 6, 16)] * 4
+@pytest.mark.parametrize(('model', 'limits'), yaml.safe_load(
+    Path(__file__).with_name('factory_limits.yaml').read_text()).items())
+def test_the_limits_from_the_factory(model, limits):
+    number = model if isinstance(model, int) else MODELS.by_name(model).number
+    assert FACTORY[number] == tuple(limits)

@@ -30,13 +30,11 @@ from servobus.bus.report import Counts
 from servobus.bus.report import LineErrors
 from servobus.bus.report import Wait
 from servobus.doctor.case import History
-from servobus.doctor.case import is_waiting
 from servobus.doctor.case import key_of
 from servobus.doctor.case import Sample
 from servobus.doctor.case import TwoClocks
 from servobus.doctor.facts import is_collision
 from servobus.doctor.facts import ran_into_answers
-from servobus.doctor.rhythm import answer_ns
 from servobus.doctor.rhythm import is_independent
 from servobus.doctor.rhythm import is_locked
 from servobus.doctor.rhythm import PeriodicTimer
@@ -127,11 +125,6 @@ def test_shares_and_ids_are_spelt_in_steps(spell, of, expected):
 
 
 # --- rhythms and collisions ------------------------------------------------------------------
-
-def test_how_long_the_answers_to_an_instruction_take():
-    assert answer_ns(asks(I.SYNC_READ, 1, 2), 1_000_000) == 2 * 15 * 10_000
-    assert answer_ns(asks(I.WRITE, 1, size=0), 1_000_000) == 11 * 10_000
-    assert answer_ns(asks(I.SYNC_WRITE, 1, 2), 1_000_000) == 0
 
 
 @pytest.mark.parametrize(('gaps', 'is_steady', 'is_even'), [
@@ -285,9 +278,7 @@ def test_questions_that_lost_bits_and_gained_none_are_a_collision(noise, is_one)
 FRONTS = {
     'Ping': (asks(I.PING, 3), ev.Front(I.PING, 2)),
     'Read': (asks(I.READ, 3), ev.Front(0, 7)),
-    'Write': (asks(I.WRITE, 3, size=4), ev.Front(I.WRITE, 8)),
     'Reg Write': (asks(I.REG_WRITE, 3, size=4), ev.Front(0, 9)),
-    'Sync Read': (asks(I.SYNC_READ, 1, 2, 3), ev.Front(I.SYNC_READ, 8)),
     'Fast Sync Read': (asks(I.FAST_SYNC_READ, 1, 2, 3), ev.Front(I.FAST_SYNC_READ, 2)),
     'Sync Write': (asks(I.SYNC_WRITE, 1, 2, size=4), ev.Front(I.SYNC_WRITE, 16)),
 }
@@ -308,8 +299,7 @@ def test_bits_that_are_lost_from_any_instruction_are_a_collision(name):
     assert not collides(front, 2)
     assert not collides(front, 3, protocol='Feetech')
     assert not collides(ev.Front(front.instruction, front.length | 0x100), 3)  # bits were added
-    whole = {'Ping': 3, 'Read': 7, 'Write': 9, 'Reg Write': 9, 'Sync Read': 10,
-             'Fast Sync Read': 10, 'Sync Write': 17}[name]
+    whole = {'Ping': 3, 'Read': 7, 'Reg Write': 9, 'Fast Sync Read': 10, 'Sync Write': 17}[name]
     assert not collides(ev.Front(cycle.instruction, whole), 9)     # a packet as it shall be
 
 
@@ -393,29 +383,10 @@ def test_damage_has_gone_on_from_its_first_to_its_last():
     assert case(notes=note(ev.BAD_LENGTH, ev.Length(7), 2)).damage == 2
 
 
-@pytest.mark.parametrize(('parts', 'gone'), [
-    ({'state': words.DISCONNECTED, 'last_heard_s': 1.6}, True),
-    ({'state': words.DISCONNECTED, 'last_heard_s': 1.5}, False),
-    ({'state': words.CONNECTED, 'last_heard_s': 9}, False),
-    ({'state': words.EXPECTED, 'last_heard_s': None, 'missed_in_a_row': 5}, True),
-    ({'state': words.EXPECTED, 'last_heard_s': None, 'missed_in_a_row': 4}, False),
-    ({'state': words.DISCONNECTED, 'last_heard_s': 9, 'window': {'missed': 10, 'garbled': 5}},
-     True),
-    ({'state': words.DISCONNECTED, 'last_heard_s': 9, 'window': {'missed': 10, 'garbled': 6}},
-     False),
-    ({'state': words.ASKED, 'last_heard_s': None, 'missed_in_a_row': 9,
-      'window': {'missed': 10, 'garbled': 9}}, True),
-    ({'state': words.ASKED, 'last_heard_s': None, 'missed_in_a_row': 9,
-      'window': {'missed': 10, 'garbled': 10}}, False),
-])
+@pytest.mark.parametrize(('parts', 'gone'), yaml.safe_load(
+    Path(__file__).with_name('gone_devices.yaml').read_text()))
 def test_who_is_gone(parts, gone):
     assert case(device(7, **parts)).gone == [7] * gone
-
-
-def test_who_waits_behind_another():
-    assert is_waiting(device(state=words.WAITING, waiting_behind=2))
-    assert not is_waiting(device(state=words.WAITING))
-    assert not is_waiting(device(waiting_behind=2))
 
 
 def asked_at(history, *pairs):

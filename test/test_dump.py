@@ -45,7 +45,6 @@ from servobus.sources.capture import Moment
 from servobus.sources.capture import Reader
 from servobus.sources.capture import Wire
 from servobus.sources.capture import Writer
-from servobus.tools.dump.packet_lines import delta_text
 
 DUMP, FAKE_BUS = 'servobus.tools.dxl_dump', 'mecarover_fakes.fake_bus'
 ROOT = Path(__file__).parents[1]
@@ -288,11 +287,6 @@ def test_count_and_seconds(recorded):
     assert some[-1]['stamp'] - some[0]['stamp'] == pytest.approx(0.5, abs=0.05)
 
 
-def test_colours_only_where_they_are_wanted(recorded):
-    assert '\033' in dump(recorded, '--color', 'always', '--count', '3')
-    assert '\033' not in dump(recorded, '--count', '3')
-
-
 def on_a_terminal(columns, *arguments, **env):
     """Run dxl_dump on a terminal so wide, return what it shows."""
     master, slave = os.openpty()
@@ -319,11 +313,6 @@ def test_lines_fit_the_terminal(recorded, columns):
                    .splitlines())) > columns or columns > 80
 
 
-def test_screens_fit_the_terminal(recorded):
-    text = on_a_terminal(80, recorded, '--stats', '--devices', '1-3:MX-106', NO_COLOR='1')
-    assert max(len(re.sub('\033.*?[A-Za-z]', '', line)) for line in text.splitlines()) <= 80
-
-
 def test_colours_on_a_terminal(recorded):
     assert '\033[' in on_a_terminal(80, recorded, '--count', '5')
     assert '\033[' not in on_a_terminal(80, recorded, '--count', '5', TERM='dumb')
@@ -334,15 +323,6 @@ def test_a_wrong_baud_rate_shows():
     assert 'bytes and no packet: wrong --baud?' in dump('-', feed=noise)
 
 
-@pytest.mark.parametrize(('delta_us', 'text'), [
-    (0, '+0us'), (999, '+999us'), (999.6, '+1.00ms'), (9_996, '+10.0ms'), (12_345, '+12.3ms'),
-    (999_400, '+999ms'), (1_234_567, '+1.23s'), (86_400e6, '+86400s'), (1e15, '+++'),
-    (-512, '-512us'), (-86_400e6, '-86400s'), (-1e15, '---')])
-def test_times_between_lines_are_short(delta_us, text):
-    assert delta_text(delta_us) == text
-    assert len(text) <= 7
-
-
 # --- figures --------------------------------------------------------------------------------
 
 def test_summary_counts_missed_answers_but_not_what_is_pending_at_the_end():
@@ -350,11 +330,6 @@ def test_summary_counts_missed_answers_but_not_what_is_pending_at_the_end():
     assert json.loads(dump('-', '--summary', feed=b'\x00\x01' + data + encode(3, I.PING))) == {
         'bytes': 2 + len(data) + 10, 'packets': 4, 'repaired': 0, 'crc_errors': 0, 'truncated': 0,
         'bad_length': 0, 'noise_bytes': 2, 'missed': {'1': 0, '3': 1}}
-
-
-def test_nothing_is_nothing():
-    assert json.loads(dump('-', '--summary'))['bytes'] == 0
-    assert dump('-') == ''
 
 
 def test_two_buses_in_one_capture(tmp_path):
@@ -370,13 +345,6 @@ def test_two_buses_in_one_capture(tmp_path):
     [first, *_] = objects(path, '--devices', 'right/2:MX-106')
     assert (first['bus'], first['model']) == ('left', None)
     assert ' right ' in dump(path)
-
-
-def test_stats_of_a_file(recorded):
-    text = dump(recorded, '--stats', '--devices', '1-3:MX-106')
-    assert 'mean load' in text
-    assert re.search(r'^002 MX-106 +\w+ +\d+ ', text, re.M)
-    assert 'refused' in text
 
 
 def test_stats_of_a_file_say_how_much_of_it_is_damaged(tmp_path):
@@ -479,12 +447,6 @@ def test_a_port_without_a_single_packet_is_asked_about(tmp_path):
                         'bus at 2000000 baud; --baud sets another rate', line)
 
 
-def test_a_capture_can_go_through_a_pipe(bus):
-    _, out, err = shell(f'dxl_dump {bus} -w - --seconds 1 | dxl_dump - --summary')
-    assert json.loads(out)['packets'] > 0
-    assert err == ''
-
-
 @pytest.mark.parametrize('size', [1, 15])
 def test_a_capture_is_told_from_bytes_however_it_trickles_in(recorded, size):
     """A pipe gives what is there: the first letter of a capture may come alone."""
@@ -539,12 +501,6 @@ def test_a_terminal_without_umlauts_gets_question_marks(recorded, tmp_path):
 # --- mistakes -------------------------------------------------------------------------------
 
 
-def test_a_recording_may_be_called_run(tmp_path, recorded):
-    (tmp_path / 'run').write_bytes(Path(recorded).read_bytes())
-    returned, out, err = shell(f'cd {tmp_path}; PYTHONPATH={ROOT} dxl_dump run --count 1')
-    assert (returned, err, out.count('\n')) == (0, '', 1)
-
-
 def test_check_models(tmp_path):
     good = tmp_path / 'my.yaml'
     good.write_text('model_numbers: {9999: Mine}\nfields:\n'
@@ -566,23 +522,6 @@ def test_the_tables_for_wireshark(tmp_path):
     assert text.count('"XL430-W250"') == 1
 
 
-def test_a_folder_without_rights_for_the_tables(tmp_path):
-    tmp_path.chmod(0o500)
-    obedient = 'setpriv --bounding-set=-dac_override ' * (os.geteuid() == 0)
-    code, out, err = shell(f'{obedient}dxl_dump --wireshark {tmp_path}')
-    assert (code, out) == (1, '')
-    assert err == (f'dxl_dump: {tmp_path}/servobus_tables.lua: Permission denied; give a folder '
-                   'that you may write to\n')
-
-
-def test_a_capture_with_bad_lines_is_read_and_said(recorded):
-    good = dump(recorded, '--summary')
-    recorded.write_bytes(recorded.read_bytes() + b'(12.5 b')
-    done = forked.run_text(DUMP, recorded, '--summary')
-    assert done.stdout == good
-    assert '1 lines do not belong in a capture' in done.stderr
-
-
 @pytest.mark.parametrize('view', ['--summary', '--json', '--stats', ''])
 def test_a_file_without_a_single_packet_is_asked_about(tmp_path, view):
     """It is no mistake that could be told from a bus at another rate: nothing else is changed."""
@@ -594,13 +533,6 @@ def test_a_file_without_a_single_packet_is_asked_about(tmp_path, view):
                                 'a recording of a servo bus, made at its baud rate']), (empty, []):
         done = forked.run(DUMP, path, *view.split())
         assert (done.returncode, done.stderr.decode().splitlines()) == (0, lines)
-
-
-def test_help_has_examples():
-    text = dump('--help')
-    assert 'examples:' in text
-    assert '--check-models' in text
-    assert max(map(len, text.splitlines())) < 100
 
 
 def test_it_never_writes_over_what_it_reads(recorded, tmp_path):

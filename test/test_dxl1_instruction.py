@@ -20,7 +20,6 @@ from msg_defs.dxl1_instruction import UNDECIDED
 from msg_defs.dxl1_packet import BROADCAST
 from msg_defs.dxl_instruction import Access
 from msg_defs.dxl_instruction import Answers
-from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_instruction import parse as parse_2
 
 
@@ -72,12 +71,6 @@ def test_an_error_byte_is_a_set_of_flags():
 ])
 def test_what_refuses_an_instruction_and_what_tells_a_state(error, dialect, said):
     assert common_error(error, dialect) == said
-
-
-def test_names():
-    assert name_of(0x0B) == 'Calibrate'
-    assert 0x0B in FEETECH.entries
-    assert 0x0B not in DYNAMIXEL_1.entries
 
 
 @settings(max_examples=500)

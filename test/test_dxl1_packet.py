@@ -137,12 +137,6 @@ def test_no_broadcast_and_no_length_is_too_large():
         encode(1, 3, bytes(254))
 
 
-def test_a_packet_behind_one_that_is_cut_off_comes_with_the_silence():
-    framer = Dxl1Framer()
-    assert packets_1_in(framer, encode(1, 3, bytes(100))[:9] + PING) == []
-    assert [packet.code for packet in packets_1_in(framer, None)] == [1]
-
-
 @pytest.mark.parametrize(('first', 'second', 'codes', 'noise'), [
     (READ[:5], READ[5:], [2], 0),                          # the delivery paused
     (READ[:5], REPLY + PING, [0, 1], 5),                   # the line did

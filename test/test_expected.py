@@ -2,7 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is on a bus, as people write it: every form, and every mistake in one line."""
 
+from pathlib import Path
+
 import pytest
+import yaml
 
 from servobus.bus.expected import Expected
 from servobus.bus.expected import parse
@@ -11,20 +14,10 @@ from servobus.bus.expected import split_bus
 from servobus.errors import ParameterError
 
 
-@pytest.mark.parametrize(('text', 'devices'), [
-    ('30', [Expected(30)]),
-    ('11:MX-106', [Expected(11, 'MX-106')]),
-    ('11:MX-106:left_knee', [Expected(11, 'MX-106', 'left_knee')]),
-    ('11::left_knee', [Expected(11, '', 'left_knee')]),
-    ('1-3:MX-64', [Expected(1, 'MX-64'), Expected(2, 'MX-64'), Expected(3, 'MX-64')]),
-    (' 0 - 1 : MX-64 ', [Expected(0, 'MX-64'), Expected(1, 'MX-64')]),
-    ('253', [Expected(253)]),
-    ('100:Rhoban DXL Board', [Expected(100, 'Rhoban DXL Board')]),
-    ('1-2:MX-64,7:MX-106:hip', [Expected(1, 'MX-64'), Expected(2, 'MX-64'),
-                                Expected(7, 'MX-106', 'hip')]),
-])
+@pytest.mark.parametrize(('text', 'devices'), yaml.safe_load(
+    Path(__file__).with_name('device_forms.yaml').read_text()))
 def test_forms(text, devices):
-    assert parse(text) == devices
+    assert parse(text) == [Expected(*one) for one in devices]
 
 
 @pytest.mark.parametrize(('text', 'words'), [

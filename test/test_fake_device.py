@@ -4,11 +4,8 @@
 
 import pytest
 
-from mecarover_fakes.fake_servo import BOOT_NS
 from mecarover_fakes.fake_servo import FakeDevice
 from mecarover_fakes.line import Line
-from mecarover_fakes.line import MASTER
-from mecarover_fakes.line import mix
 from mecarover_fakes.registers import ACCESS
 from mecarover_fakes.registers import LENGTH
 from mecarover_fakes.registers import OK
@@ -17,8 +14,6 @@ from mecarover_fakes.registers import RESULT_FAIL
 from mecarover_fakes.traffic import words
 from mecarover_fakes.values import Sine
 from msg_defs.dxl_instruction import Instruction
-from msg_defs.dxl_instruction import parse
-from msg_defs.dxl_instruction import split_combined
 from msg_defs.dxl_packet import BROADCAST
 from servobus.model.control_table import UNKNOWN
 from servobus.model.models import Models
@@ -91,46 +86,6 @@ def test_indirect_data_is_the_register_it_points_at():
     assert device.read(224, 1, 0).params == b'\x01'
 
 
-def test_goal_moves_a_device_without_motion_of_its_own():
-    device = make()
-    write(device, GOAL, (3000).to_bytes(4, 'little'))
-    assert device.read(POSITION, 4, 0).params != (3000).to_bytes(4, 'little')
-    write(device, TORQUE, b'\x01')
-    write(device, GOAL, (3000).to_bytes(4, 'little'))
-    assert device.read(POSITION, 4, 0).params == (3000).to_bytes(4, 'little')
-
-
-def test_joint_stands_where_the_torque_was_cut():
-    device = make(motion=Sine())
-    device.set('Torque Enable', 1)
-    device.execute(Instruction.WRITE, words(TORQUE) + b'\x00', S)
-    assert device.angle(5 * S) == pytest.approx(Sine().angle(1.0))
-    assert device.angle(9 * S) == device.angle(5 * S)
-
-
-def test_reg_write_waits_for_action():
-    device = make()
-    assert device.execute(Instruction.ACTION, b'', 0).error == RESULT_FAIL
-    assert device.execute(Instruction.REG_WRITE, words(LED) + b'\x01', 0).error == OK
-    assert (device.image[LED], device.get('Registered Instruction')) == (0, 1)
-    assert device.execute(Instruction.ACTION, b'', 0).error == OK
-    assert (device.image[LED], device.get('Registered Instruction')) == (1, 0)
-
-
-def test_reboot_forgets_ram_keeps_eeprom_and_is_deaf_for_a_while():
-    device = make()
-    write(device, 20, b'\x07\x00\x00\x00')                      # Homing Offset
-    write(device, TORQUE, b'\x01')
-    device.latch(0x20, 0)
-    assert device.error_byte(0) == 0x80
-    device.execute(Instruction.REBOOT, b'', S)
-    assert not device.torque
-    assert device.image[20] == 7
-    assert device.error_byte(0) == 0
-    assert not device.is_listening(BAUD, S + 1)
-    assert device.is_listening(BAUD, S + BOOT_NS)
-
-
 def test_latched_error_keeps_the_torque_off():
     device = make()
     device.latch(0x20, 0)
@@ -166,21 +121,6 @@ def test_clear_needs_its_key_and_the_torque_off():
     assert device.execute(Instruction.CLEAR, b'\x01DXL"', 0).error == RESULT_FAIL
 
 
-def test_bus_watchdog_refuses_goals_until_cleared():
-    line = Line([make()], BAUD)
-    goal = words(GOAL) + bytes(4)
-    line.exchange(1, Instruction.WRITE, words(TORQUE) + b'\x01', 0)
-    line.exchange(1, Instruction.WRITE, words(WATCHDOG) + b'\x05', S // 100)
-    assert _error(line.exchange(1, Instruction.WRITE, goal, 2 * S // 100)) == OK
-    assert _error(line.exchange(1, Instruction.WRITE, goal, S)) == RANGE
-    line.exchange(1, Instruction.WRITE, words(WATCHDOG) + b'\x00', S + S // 100)
-    assert _error(line.exchange(1, Instruction.WRITE, goal, S + 2 * S // 100)) == OK
-
-
-def _error(exchange):
-    return exchange.answers[0].error
-
-
 # --- the line ------------------------------------------------------------------------------
 
 def test_return_delay_and_wire_time():
@@ -198,65 +138,6 @@ def test_broadcasts_reach_all_and_only_ping_is_answered_in_order_of_ids():
     assert not line.exchange(BROADCAST, Instruction.READ, words(LED, 1), 0).answers
     exchange = line.exchange(BROADCAST, Instruction.PING, b'', 0)
     assert [answer.id for answer in exchange.answers] == [3, 5, 7]
-
-
-def test_sync_read_follows_the_list_and_stops_at_a_silent_device():
-    line = Line([make(1), make(2), make(3)], BAUD)
-    ask = words(POSITION, 4) + bytes([3, 1, 2])
-    assert _ids(line.exchange(BROADCAST, Instruction.SYNC_READ, ask, 0)) == [3, 1, 2]
-    line.chain[0].silent = True
-    exchange = line.exchange(BROADCAST, Instruction.SYNC_READ, ask, 0)
-    assert _ids(exchange) == [3]
-    assert exchange.due == (3, 1, 2)
-    line.waits_in_line = False
-    assert _ids(line.exchange(BROADCAST, Instruction.SYNC_READ, ask, 0)) == [3, 2]
-
-
-def _ids(exchange):
-    return [answer.id for answer in exchange.answers]
-
-
-@pytest.mark.parametrize('silent', [None, 1, 2, 3])
-def test_combined_reply_is_cut_at_a_silent_device(silent):
-    line = Line([make(1), make(2), make(3)], BAUD)
-    for device in line.chain:
-        device.silent = device.id == silent
-    ask = words(POSITION, 4) + bytes([1, 2, 3])
-    exchange = line.exchange(BROADCAST, Instruction.FAST_SYNC_READ, ask, 0)
-    reply = b''.join(burst.data for burst in exchange.bursts[1:])
-    request = parse(Instruction.FAST_SYNC_READ, BROADCAST, ask)
-    blocks = split_combined(reply[4:], request.accesses)
-    heard = 3 if silent is None else silent - 1
-    assert [block.id for block in blocks] == [1, 2, 3][:heard]
-    assert len(reply) == (8 + 8 * heard if heard else 0)
-
-
-def test_firmware_without_fast_reads():
-    ask = words(POSITION, 4) + b'\x01'
-    for device, answers in ((make(), 1), (make(firmware=44), 0), (make(name='MX-106'), 0)):
-        line = Line([device], BAUD)
-        exchange = line.exchange(BROADCAST, Instruction.FAST_SYNC_READ, ask, 0)
-        assert len(exchange.answers) == answers
-
-
-def test_written_id_and_baud_take_effect_behind_the_acknowledgement():
-    line = Line([make(1)], BAUD)
-    exchange = line.exchange(1, Instruction.WRITE, words(7) + b'\x09', 0)
-    assert exchange.answers[0].id == 1
-    assert line.exchange(9, Instruction.PING, b'', 0).answers
-    assert line.exchange(9, Instruction.WRITE, words(8) + b'\x01', 0).answers
-    assert not line.exchange(9, Instruction.PING, b'', 0).answers
-
-
-def test_two_devices_with_one_id_run_into_each_other():
-    line = Line([make(1), make(1, 'MX-106')], BAUD)
-    exchange = line.exchange(1, Instruction.PING, b'', 0)
-    mixed = mix(exchange.bursts, BAUD)
-    assert [burst.sender == MASTER for burst in mixed] == [True, False]
-    assert not mixed[1].intact
-    assert not any(answer.burst.intact for answer in exchange.answers)
-    line.chain[1].set('Return Delay Time', 250)
-    assert len(mix(line.exchange(1, Instruction.PING, b'', 0).bursts, BAUD)) == 3
 
 
 def test_malformed_and_unknown_instructions_are_refused_by_the_device():

@@ -1,7 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """The fake MCU: receiver and cable on simulated time, then the pty and the console tool."""
-from contextlib import suppress
 import json
 import os
 import subprocess
@@ -9,9 +8,7 @@ import sys
 import time
 
 from mecarover_fakes.fake_mcu import FakeMcu
-from mecarover_fakes.receiver import BadCable
 from mecarover_fakes.receiver import Receiver
-from msg_defs.crc import crc32_mpeg2_words
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
@@ -32,26 +29,6 @@ def until(mcu, condition):
     while not condition():
         assert time.monotonic() < deadline
         mcu.pump(0.01)
-
-
-def test_a_crc_over_words_is_another_crc():
-    mcu = Receiver(crc=crc32_mpeg2_words)
-    mcu.feed(FRAME, 0)
-    mcu.feed(encode(DRIVE, crc32_mpeg2_words), 10 * MS)
-    mcu.advance(100 * MS)
-    assert (mcu.totals.crc_err, mcu.totals.frames) == (1, 1)
-
-
-def test_with_gaps_only_damaged_frames_are_lost():
-    mcu, cable = Receiver(), BadCable(drop=50, seed=3)
-    now = 0
-    for index in range(1000):
-        mcu.feed(cable.carry(numbered(index)), now)
-        now += (FRAME_SIZE + 2) * mcu.character
-        mcu.advance(now)
-    assert (mcu.totals.frames, mcu.totals.insufficient, mcu.totals.crc_err) == (980, 20, 0)
-    good = [arrival.velocity.x for arrival in mcu.arrivals if arrival.velocity]
-    assert good == [index / 1000 for index in range(1000) if index % 50 != 49]
 
 
 def test_bytes_arrive_at_the_pace_of_the_line_and_ten_set_points_wait():
@@ -121,21 +98,6 @@ def test_a_late_reader_does_not_invent_a_full_queue():
     mcu.close()
 
 
-def test_it_vanishes_and_comes_back(tmp_path):
-    link = str(tmp_path / 'mcu')
-    mcu = FakeMcu(link)
-    mcu.vanish()
-    assert not os.path.lexists(link)
-    assert mcu.pump(0.0) == []
-    mcu.come_back()
-    host = os.open(link, os.O_RDWR | os.O_NOCTTY)
-    os.write(host, FRAME)
-    until(mcu, lambda: mcu.totals()['frames'] == 1)
-    os.close(host)
-    mcu.close()
-    assert not os.path.lexists(link)
-
-
 def tool(*arguments, **options):
     return subprocess.Popen(
         [sys.executable, '-m', 'mecarover_fakes.fake_mcu', *arguments], stdout=subprocess.PIPE,
@@ -161,32 +123,3 @@ def test_tool_prints_set_points_and_totals(tmp_path):
     assert json.loads(out)['totals']['frames'] == 2
     assert (process.returncode, err) == (0, '')
     assert not os.path.lexists(link)
-
-
-def test_tool_for_people():
-    process = tool('--seconds', '0.3')
-    out, err = process.communicate(timeout=10)
-    first, last = out.splitlines()
-    assert first.startswith('fake_mcu: /dev/pts/')
-    assert last.startswith('totals: ')
-    assert (process.returncode, err) == (0, '')
-
-
-def test_it_says_which_frames_it_refuses():
-    both = b'crc mismatch!\r\ninsufficient bytes received\r\n'
-    for talks in (True, False):
-        mcu, heard = FakeMcu(talks=talks), bytearray()
-        fd = os.open(mcu.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-
-        def hear(fd=fd, heard=heard):
-            with suppress(BlockingIOError):
-                heard += os.read(fd, 100)
-            return bytes(heard)
-        for count, name in ((FRAME_SIZE, 'crc_err'), (5, 'insufficient')):
-            os.write(fd, bytes(count))
-            until(mcu, lambda name=name, mcu=mcu: getattr(mcu.receiver.totals, name))
-        if talks:
-            until(mcu, lambda hear=hear: hear() == both)
-        assert hear() == (both if talks else b'')
-        os.close(fd)
-        mcu.close()

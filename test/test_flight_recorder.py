@@ -4,21 +4,14 @@
 import os
 from types import SimpleNamespace
 
-from harness import later
 from harness import wait
 import pytest
 
 from msg_defs.event import Change
 from msg_defs.event import Chunk
 from msg_defs.reports import Level
-from rigs.bus.scene import SECONDS
-from rigs.bus.scenes import BROKEN
-from rigs.bus.score import BOOT
-from rigs.bus.score import SEED
 from servobus.bus.report import DISCONNECTED
 from servobus.errors import ParameterError
-from servobus.examination import Examination
-from servobus.model.models import Models
 from servobus.sources.capture import Moment
 from servobus.sources.capture import Wire
 from servobus.sources.flight_recorder import FlightRecorder
@@ -26,7 +19,8 @@ from servobus.sources.opening import open_file
 from servobus.sources.recorders import Recorders
 
 S = 1_000_000_000
-MODELS = Models()
+
+
 WIRE = Wire('arm', 1_000_000, port='/dev/ttyUSB0')
 WELL = SimpleNamespace(findings=(), devices=())
 
@@ -183,39 +177,3 @@ def test_a_full_disk_is_said_and_the_next_fault_is_tried_again(flight, monkeypat
     monkeypatch.undo()
     flight.run(1, finding(device=8))
     assert not flight.recorder.problem and len(flight.files()) == 1
-
-
-def diagnosed(scene, folder):
-    """Return what is said live at the end of a file, and what dxl_doctor says of the file."""
-    now = [0]
-    flight = FlightRecorder(str(folder), 1_000_000_000, 1, lambda: Moment(now[0], now[0]))
-    wire = Wire('bus', scene.adapter.baud or scene.baud)
-    live = Examination(MODELS, scene.devices, watchers=[flight])
-    rig = scene.rig(SEED)
-
-    def hear(data, stamp):
-        now[0] = BOOT + stamp
-        live.feed_chunk(Chunk(BOOT + stamp, 'bus', data), wire)
-
-    rig.listen(scene.adapter, hear, lambda stamp: live.pass_time(BOOT + stamp))
-    for second in range(1, 1 + int(SECONDS)):
-        rig.clock.run(second * S)
-        now[0] = BOOT + rig.clock.now
-        live.pass_time(now[0])
-    live.finish(now[0], is_over=False)
-    flight.stop()
-    source = open_file(flight.path, None, tool='dxl_doctor') if flight.path else None
-    later = Examination(MODELS, scene.devices)
-    for chunk in source.chunks() if source else ():
-        later.feed_chunk(chunk, source.wire(chunk.bus))
-    if source:
-        later.pass_time(source.ended)
-        later.finish(source.ended, is_over=False)
-    return [{(one.finding.rule, one.finding.device, one.finding.level)
-             for bus in run.buses(is_timed=True) for one in bus.logged} for run in (live, later)]
-
-
-@pytest.mark.parametrize('scene', later(BROKEN[::30], 1), ids=lambda scene: scene.name)
-def test_a_file_is_diagnosed_as_live(scene, tmp_path):
-    live, later = diagnosed(scene, tmp_path)
-    assert later == live

@@ -1,7 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """A tool that is forked prints and ends as one that a new interpreter runs."""
-import os
 import subprocess
 import sys
 
@@ -25,15 +24,3 @@ def test_it_prints_and_ends_as_in_a_new_interpreter(tool, words, code, tmp_path)
         fork = forked.run(forked.TOOLS[tool], *words, stdin=stdin)
     assert fork.returncode == code
     assert (fork.returncode, fork.stdout, fork.stderr) == (new.returncode, new.stdout, new.stderr)
-
-
-def test_what_does_not_end_is_killed():
-    its_end, ours = os.pipe()
-    with open(its_end, 'rb') as stdin, open(ours, 'wb'), \
-            pytest.raises(subprocess.TimeoutExpired):
-        forked.run(forked.TOOLS['dxl_dump'], '-', stdin=stdin, timeout=0.1)
-
-
-def test_what_only_a_new_interpreter_reads_is_refused():
-    with pytest.raises(AssertionError, match='PYTHONIOENCODING'):
-        forked.run(forked.TOOLS['dxl_dump'], env={**os.environ, 'PYTHONIOENCODING': 'ascii'})

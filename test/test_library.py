@@ -98,12 +98,6 @@ def test_what_cannot_be_is_one_line(port, options, words):
         servobus.listen(port, **options)
 
 
-def test_a_recording_is_heard_to_its_end(tmp_path):
-    with servobus.listen(str(capture(tmp_path / 'run.txt', 'silent:3:0'))) as bus:
-        bus.run()
-    assert [(one.rule, one.device) for one in bus.findings] == [('no_answer', 3)]
-
-
 def test_the_example_of_a_recording_prints_plain_data(tmp_path, monkeypatch, capsys):
     [example] = [one for one in EXAMPLES if "'run.txt'" in one]
     capture(tmp_path / 'run.txt', 'silent:3:0')

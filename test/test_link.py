@@ -123,30 +123,6 @@ def test_closing_gives_the_port_back_to_everybody(mcu):
     assert not is_exclusive(mcu.path)
 
 
-@pytest.mark.parametrize('rate', [30.0, 100.0])
-def test_a_thousand_commands_at_200_hz(mcu, rate):
-    commands = [Vel2d(0.5, index / 1000, 0.0) for index in range(1, 1001)]
-    with linked(mcu.path, GateSettings(max_rate=rate)) as link:
-        wait(lambda: mcu.totals()['frames'] >= 6)
-        before = mcu.totals()['frames']
-        begin = time.monotonic()
-        outcomes = set()
-        for index, command in enumerate(commands):
-            time.sleep(max(0.0, begin + index * 0.005 - time.monotonic()))
-            outcomes.add(link.offer_command(command))
-        elapsed = time.monotonic() - begin
-        frames = mcu.totals()['frames'] - before
-        wait(lambda: mcu.receiver.wheels.is_stop)
-    assert outcomes == {Outcome.ACCEPTED}
-    assert link.gate.counters.time_outs == 1
-    assert frames <= 1.02 * rate * elapsed + 2       # the rate that docs/frame.md promises
-    totals = mcu.totals()
-    assert totals['crc_err'] == totals['insufficient'] == 0
-    # A fake MCU that the machine holds up finds several frames at once.
-    assert totals['queue_full'] < totals['frames'] / 2 or rate > 33
-    assert [velocity for velocity in velocities(mcu) if velocity != STOP][-1] == commands[-1]
-
-
 def test_unplugged_and_back_ten_times(mcu):
     changes = []
     with linked(mcu.path, on_change=changes.append) as link:
@@ -491,13 +467,6 @@ def test_disable_stop_and_settings_take_effect(mcu):
         assert link.gate.counters.stops[Stop.SUSPEND] == 1
         wait(lambda: mcu.receiver.wheels.is_stop)
         assert not link.gate.driving
-
-
-def test_a_url_without_a_descriptor_works():
-    heard = []
-    with linked('loop://', on_received=lambda chunk, stamp: heard.append(chunk)) as link:
-        wait(lambda: sum(map(len, heard)) >= 3 * FRAME_SIZE)
-        assert link.state().is_open
 
 
 class Alive:

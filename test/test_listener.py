@@ -17,8 +17,6 @@ from servobus.bus.report import LineErrors
 from servobus.port.pty import Pty
 from servobus.sources.driver import adapter
 from servobus.sources.driver import latency_timer_ms
-from servobus.sources.driver import line_errors
-from servobus.sources.driver import set_low_latency
 from servobus.sources.listener import Listener
 
 pytestmark = pytest.mark.realtime(bears=0.02)
@@ -108,17 +106,6 @@ def test_sends_nothing(cable, collector):
     collector.listener = Collector(str(cable.link)).listener
 
 
-@pytest.mark.parametrize('baud', [57_600, 1_000_000, 2_000_000, 4_500_000, 1_234_567])
-def test_takes_any_rate(cable, baud):
-    collector = Collector(str(cable.link), baud)
-    try:
-        collector.wait_open()
-        os.write(cable.master, b'x')
-        wait(lambda: collector.data == b'x')
-    finally:
-        collector.listener.stop()
-
-
 def test_is_lost_and_found_ten_times(tmp_path):
     link = str(tmp_path / 'bus')
     before = len(os.listdir('/proc/self/fd'))
@@ -197,13 +184,6 @@ def test_hears_a_socket():
     collector.listener.stop()
 
 
-def test_hears_a_port_without_descriptor():
-    collector = Collector('loop://')
-    collector.wait_open()
-    assert collector.listener.counters.line_errors is None
-    collector.listener.stop()
-
-
 def test_hears_a_terminal_server_and_finds_it_again(cable):
     with TerminalServer(cable.path) as server:
         collector = Collector(server.url, 1_000_000)
@@ -216,21 +196,6 @@ def test_hears_a_terminal_server_and_finds_it_again(cable):
         with pytest.raises(BlockingIOError):
             os.read(cable.master, 1)
         collector.listener.stop()
-
-
-def test_names_a_mistake_in_the_url():
-    collector = Collector('nonsense://somewhere')
-    wait(lambda: collector.listener.state.kind == 'url')
-    assert 'nonsense' in collector.listener.state.text
-    collector.listener.stop()
-
-
-def test_a_pty_has_no_low_latency_and_counts_no_errors(cable, collector):
-    assert line_errors(cable.master) is None
-    assert not set_low_latency(cable.master)
-    assert not collector.listener.low_latency
-    assert collector.listener.latency_timer_ms is None
-    assert collector.listener.counters.line_errors is None
 
 
 def test_latency_timer_of_an_ftdi_adapter_is_lowered_where_allowed(tmp_path):

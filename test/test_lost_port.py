@@ -5,6 +5,7 @@ import os
 from pathlib import Path
 
 import pytest
+import yaml
 
 from vel2d_bridge.claim import identity
 from vel2d_bridge.claim import is_claimed
@@ -29,16 +30,8 @@ def plug(root, socket, *, number=0, port='', **files):
     return device
 
 
-@pytest.mark.parametrize('first, second, same', [
-    ({'socket': '1-1'}, {'socket': '1-1', 'number': 1}, True),
-    ({'socket': '1-1'}, {'socket': '1-2', 'number': 1}, False),
-    ({'socket': '1-1', 'serial': 'A1'}, {'socket': '1-2', 'number': 1, 'serial': 'A1'}, True),
-    ({'socket': '1-1', 'serial': 'A1'}, {'socket': '1-1', 'number': 1, 'serial': 'A2'}, False),
-    ({'socket': '1-1', 'serial': 'A1'}, {'socket': '1-1', 'number': 1}, False),
-    ({'socket': '1-1', 'serial': 'A1', 'port': '0'},
-     {'socket': '1-1', 'number': 1, 'serial': 'A1', 'port': '1'}, False),
-    ({'socket': '1-1'}, {'socket': '1-1', 'number': 1, 'idProduct': '6010'}, False),
-])
+@pytest.mark.parametrize('first, second, same', yaml.safe_load(
+    Path(__file__).with_name('adapters_again.yaml').read_text(encoding='utf-8')))
 def test_an_adapter_is_known_by_serial_number_or_else_by_its_socket(
         tmp_path, first, second, same):
     known = [identity(plug(tmp_path / name, **{**USB, **where}), tmp_path / name)

@@ -9,11 +9,9 @@ import struct
 import pytest
 
 from rigs.tables import rows_of
-from servobus.model.checked_yaml import ModelError
 from servobus.model.checked_yaml import read_yaml
 from servobus.model.layers import model_key
 from servobus.model.models import BUILT_IN
-from servobus.model.models import check_models
 from servobus.model.models import Models
 
 MODELS = Models()
@@ -108,11 +106,6 @@ def test_feetech_wins_where_lerobot_has_other_baud_rates():
     assert '57600, 38400' in text and 'LeRobot' in text
 
 
-def test_error_flags_in_words():
-    assert shown('STS3215', 'Hardware Error Status', b'\x25') == 'voltage, overheating, overload'
-    assert shown('AX-12A', 'Hardware Error Status', b'\x24') == 'overheating, overload'
-
-
 def test_each_row_is_from_two_sources_or_says_so():
     marked = 0
     for path in sorted(BUILT_IN.glob('*')):
@@ -122,27 +115,3 @@ def test_each_row_is_from_two_sources_or_says_so():
         if path.name.startswith(('_feetech', 'feetech', '_dxl1', 'ax_', 'ex_', '_mx_1')):
             assert ';' in raw['source'], f'{path.name}: name two sources'
     assert marked > 15
-
-
-@pytest.mark.parametrize(('text', 'reason'), [
-    ('byte_order: middle\n', "byte_order is 'middle'; use one of little, big"),
-    ("protocol: '3'\n", "protocol is '3'; use one of 2, 1, feetech"),
-    ('fields: [{at: 0, name: A, type: u8, source: twice}]\n',
-     "A: source is 'twice'; use one of single"),
-])
-def test_mistakes_are_named(tmp_path, text, reason):
-    (tmp_path / 'a.yaml').write_text(f'model_numbers: {{9: A}}\n{text}')
-    with pytest.raises(ModelError, match=r'a\.yaml: ') as caught:
-        Models([tmp_path])
-    assert reason in str(caught.value)
-
-
-def test_a_folder_of_the_users_may_hold_a_feetech_servo(tmp_path):
-    """Found by the quick look at its numbers and by the whole file; the number is Feetech's."""
-    for numbers in ('model_numbers: {777: Mine}', 'model_numbers:\n  777: Mine'):
-        (tmp_path / 'a.yaml').write_text(f'{numbers}\nprotocol: feetech\ninclude: _feetech_sts\n')
-        assert check_models(tmp_path) == []
-        models = Models([tmp_path])
-        model = models.get(model_key(777, 'feetech'))
-        assert (model.name, model.number, model.protocol) == ('Mine', 777, 'feetech')
-        assert models.get(777) is None

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bus over time: states, levels and words, rates, idle lines; against the simulated truth."""
 
-from itertools import pairwise
 from pathlib import Path
 import struct
 
@@ -15,13 +14,11 @@ from heard_bus import READ
 from heard_bus import REPLY
 from heard_bus import SECOND
 import pytest
-from tracked_bus import damaged
 from tracked_bus import packets
 import yaml
 
 from msg_defs import dxl1_packet
 from msg_defs.dxl_instruction import Instruction as I
-from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 from msg_defs.event import Change
@@ -36,9 +33,6 @@ from servobus.bus.decoder import Settings
 from servobus.bus.expected import parse_all
 from servobus.bus.tracker import Tracker
 from servobus.monitor import Monitor
-
-POSITIONS = encode(BROADCAST, I.SYNC_READ, struct.pack('<HH', 132, 4) + b'\x01\x02\x03')
-
 
 HEARD = yaml.safe_load(Path(__file__).with_name('monitor.yaml').read_text(encoding='utf-8'))
 
@@ -93,20 +87,6 @@ def test_what_is_heard_and_reported(name):
             bus = Bus(*parse_all(step['listed']), baud=step.get('baud', 2_000_000))
         else:
             assert {key: known(bus, key) for key in step} == step
-
-
-def test_damage_is_told_by_device_and_by_bus():
-    bus = Bus()
-    bus.hear(PING, PONG)
-    for _ in range(20):
-        bus.hear(READ, damaged(REPLY), READ, REPLY)
-    bus.wait(0.5)
-    report = bus.report()
-    assert report.devices[0].window.damaged == 20
-    assert report.level is Level.WARN
-    assert report.counters['CRC Errors'] == 20
-    assert report.errors[-1].text == '001: no answer to Read at Present Position'
-    assert '001: status with a wrong CRC' in {error.text for error in report.errors}
 
 
 @pytest.mark.parametrize('cut', range(1, len(REPLY)))
@@ -200,15 +180,6 @@ def test_rates_and_load():
     assert values['bus_load'].value == pytest.approx(len(chunk), rel=0.01)
     between = values['time_between_buffers'].window
     assert between.p50 == pytest.approx(1.0, rel=0.03)
-
-
-def test_cycles_tell_what_the_master_repeats():
-    bus = Bus()
-    bus.hear(*[READ, REPLY] * 10, PING, every_ms=5)
-    cycle = bus.report().cycles[0]
-    assert (cycle.instruction, cycle.ids, cycle.address, cycle.asked) == (I.READ, (1,), 132, 10)
-    assert {after - before for before, after in pairwise(cycle.stamps)} == {10 * MS}
-    assert bus.device().totals.reads == 10
 
 
 def test_no_counter_is_below_zero_after_a_reset():

@@ -11,12 +11,12 @@ import shutil
 import signal
 import subprocess
 import sys
-import textwrap
 import time
 
 from harness import Program
 from harness import wait
 import pytest
+import yaml
 
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
@@ -110,19 +110,6 @@ def test_two_buses_have_names(tmp_path, heard):
         heard.wait_status('dxl_monitor: right/001', 'connected')
         heard.wait_status('dxl_monitor: bus right', '1 of 1')
         assert heard.statuses['dxl_monitor: left/001'].hardware_id == 'left/1'
-
-
-def test_253_devices_come_in_small_messages(tmp_path, heard):
-    with fake_bus(tmp_path / 'bus', '--devices', '0-252:XL430-W250', '--baud', '4500000'), \
-            monitor([tmp_path / 'bus'], bauds=4_500_000, devices="['0-252:XL430-W250']"):
-        wait(lambda: len(devices(heard)) == 253)
-        begin = len(heard.heard['/dxl/diagnostics'])
-        wait(lambda: len(heard.heard['/dxl/diagnostics']) > begin + 20)
-        messages = heard.heard['/dxl/diagnostics'][begin:]
-        assert max(len(message.status) for message in messages) <= 30
-        sizes = [sum(len(pair.key) + len(pair.value) + 16 for status in message.status
-                     for pair in status.values) for message in messages]
-        assert max(sizes) < 64_000
 
 
 def rights_on(port, pid):
@@ -220,54 +207,6 @@ def test_a_bus_is_heard_on_the_adapter_of_another_program(tmp_path, heard):
         heard.wait_status('dxl_monitor: bus', f'usb:{usb}: ', level=2)
 
 
-def test_a_bus_is_heard_inside_a_python_program(tmp_path, heard, monkeypatch, meeting_place):
-    monkeypatch.setenv('XDG_RUNTIME_DIR', meeting_place)
-    script = """
-        import sys, time, serial
-        from msg_defs.dxl_packet import encode
-        port = serial.Serial(sys.argv[1], 1000000, timeout=0.1)
-        while True:
-            port.write(encode(1, 0x02, bytes([132, 0, 4, 0])))
-            port.read(15)
-            time.sleep(0.02)"""
-    bus = tmp_path / 'bus'
-    with fake_bus(bus, '--pattern', 'none', '--devices', '1:MX-64', '--baud', '1000000') as fake, \
-            monitor(['tap:robot'], bauds='[0]') as node:
-        fake.wait_for('1000000 baud')
-        node.wait_for('tap:robot: listening; start the program with dxl_tap robot -- COMMAND')
-        with Program('servobus.tools.tap', 'robot', '--', sys.executable, '-c',
-                     textwrap.dedent(script), str(bus)):
-            node.wait_for(f'tap:robot: listening to {bus}')
-            heard.wait_status('dxl_monitor: bus', '1 of 1 devices connected', level=0)
-            assert values(heard.statuses['dxl_monitor: bus'])['Baud (bit/s)'] == '1000000'
-            assert values(heard.statuses['dxl_monitor: 001'])['Missed Answers'] == '0'
-        heard.wait_status('dxl_monitor: 001', 'silent', level=3)
-
-
-def test_a_login_that_begins_while_it_listens_is_told(tmp_path, heard):
-    link = tmp_path / 'bus'
-    script = f"""
-        import pathlib, sys
-        from dxl_monitor import start
-        from servobus.port import inspection, preflight
-        preflight.warnings.__defaults__ = (pathlib.Path({str(tmp_path)!r}), ())
-        inspection.INSPECT_EVERY_S = 0.2
-        sys.exit(start.main())"""
-    (tmp_path / 'proc').mkdir()
-    with fake_bus(link, '--devices', '1:MX-64') as fake:
-        fake.wait_for('2000000 baud')
-        with Program('', '--ros-args', '-p', f'ports:={link}', script=textwrap.dedent(script)):
-            heard.wait_status('dxl_monitor: bus', '1 of 1', level=0)
-            tty = os.path.basename(os.path.realpath(link))
-            login = tmp_path / 'proc/812'
-            login.mkdir()
-            (login / 'cmdline').write_text(f'/sbin/agetty\0{tty}\0')
-            (login / 'comm').write_text('agetty\n')
-            heard.wait_status('dxl_monitor: bus', 'agetty (pid 812) offers a login here', level=1)
-            shutil.rmtree(login)
-            heard.wait_status('dxl_monitor: bus', '1 of 1', level=0)
-
-
 def test_who_opens_the_port_beside_it_is_named_at_once(tmp_path, heard):
     opens = 'import os, sys, time; os.open(sys.argv[1], os.O_NOCTTY); time.sleep(99)'
     link = tmp_path / 'bus'
@@ -294,19 +233,8 @@ def test_every_ending_signal_ends_it_well(tmp_path, heard, again, number):
         assert 'Traceback' not in node.text
 
 
-@pytest.mark.parametrize(('parameters', 'line'), [
-    ({'bauds': '[9600,9600,9600]'}, 'bauds: 3 for 1 ports; '),
-    ({'bauds': '5000000'}, 'bauds: 5000000 is not possible; set an integer list in bit/s '),
-    ({'names': '[a,b]'}, 'names: 2 names for 1 ports; '),
-    ({'devices': '[254]'}, "devices: '254': an ID is at most 253; "),
-    ({'devices': "['1:MX-107']"}, "devices: no model is called 'MX-107'; did you mean "),
-    ({'devices': "['1:XL330']"}, "devices: no model is called 'XL330'; did you mean XL330-M"),
-    ({'devices': "['1:teapot']"}, "devices: no model is called 'teapot'; write it as XL430-W250"),
-    ({'devices': "['left/1']"}, "devices: 'left/1' does not say which bus; "),
-    ({'model_dirs': '/does/not/exist'}, 'model_dirs: /does/not/exist'),
-    ({'publish_rate': '0.0'}, 'publish_rate: 0.0 is not possible; '),
-    ({'write_acks': 'maybe'}, "write_acks: 'maybe' is not possible; "),
-])
+@pytest.mark.parametrize(('parameters', 'line'), yaml.safe_load(
+    Path(__file__).with_name('monitor_mistakes.yaml').read_text(encoding='utf-8')))
 def test_mistakes_are_one_line(ros, parameters, line):
     with monitor(['/dev/null-port'], **parameters) as node:
         assert node.exit_code() == 2

@@ -1,26 +1,11 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """What rcl refuses when a node is made: one line and exit code 2, for each of them."""
-from harness import MODULES
 from harness import Program
 from harness import wait
 import pytest
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.5)]
-
-
-@pytest.mark.parametrize('name', ['vel2d_bridge', 'dxl_monitor'])
-def test_an_enclave_without_keys_is_one_line(ros, tmp_path, monkeypatch, name):
-    """Security libraries that are not installed come out the same way."""
-    (tmp_path / f'enclaves/{name}').mkdir(parents=True)
-    monkeypatch.setenv('ROS_SECURITY_ENABLE', 'true')
-    monkeypatch.setenv('ROS_SECURITY_STRATEGY', 'Enforce')
-    monkeypatch.setenv('ROS_SECURITY_KEYSTORE', str(tmp_path))
-    with Program(MODULES[name], '--ros-args', '--enclave', f'/{name}') as node:
-        assert node.exit_code() == 2
-    assert 'Traceback' not in node.text
-    assert node.lines[-1].startswith(f'{name}: error creating node: ')
-    assert node.lines[-1].endswith('(the wheels of PyPI have no security)')
 
 
 def test_a_list_on_the_command_line_wins_over_a_list_of_another_type(ros, tmp_path):

@@ -7,7 +7,6 @@ from functools import cache
 from itertools import groupby
 import json
 import os
-from pathlib import Path
 import socket
 import subprocess
 import sys
@@ -61,7 +60,8 @@ from servobus.sources.usb_ring import kept_of
 from servobus.tools.start_program import environment
 
 MODELS = Models()
-ROOT = Path(__file__).parents[1]
+
+
 BAUD = 1_000_000
 DEVICES = ['1-4:MX-106', '101:BitFoot']
 DEADLINE_S = 20.0
@@ -304,26 +304,6 @@ def test_tap_hears_the_port_that_is_named(meeting_place, monkeypatch):
             child.wait()
             for listener in listeners:
                 listener.stop()
-
-
-@pytest.mark.realtime(bears=0.05)
-def test_dump_of_a_tapped_program(meeting_place):
-    environ = {**os.environ, 'XDG_RUNTIME_DIR': meeting_place}
-    ping = "bytes.fromhex('fffffd0001030001194e')"
-    script = f'import serial, sys; port = serial.Serial(sys.argv[1], 57600); port.write({ping})'
-    with Pty() as pty, subprocess.Popen(
-            [sys.executable, '-m', 'servobus.tools.dxl_dump', 'tap:arm', '--json', '--count',
-             '1'], cwd=ROOT, env=environ, stdout=subprocess.PIPE, text=True) as child:
-        try:
-            wait(lambda: Path(meeting_place, 'mecarover_serial').is_dir() and any(
-                Path(meeting_place, 'mecarover_serial').iterdir()))
-            subprocess.run([sys.executable, '-m', 'servobus.tools.tap', 'arm', '--',
-                            sys.executable, '-c', script, pty.path], env=environ, cwd=ROOT,
-                           check=True, timeout=60)
-            packet = json.loads(child.communicate(timeout=60)[0])
-        finally:
-            child.kill()
-    assert (packet['instruction'], packet['side'], packet['bus']) == ('Ping', 'out', 'arm')
 
 
 def test_names_of_sources():

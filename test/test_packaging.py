@@ -12,7 +12,6 @@ import sys
 import xml.etree.ElementTree as ElementTree
 
 import pytest
-from test_dxl_doctor import capture
 
 from mecarover_serial.command import COMMANDS
 from servobus.tools.command import COMMANDS as TOOLS
@@ -135,22 +134,6 @@ def test_the_version_of_a_tool_is_that_of_the_package_that_holds_it(prefix, alon
 
 
 @pytest.mark.more
-def test_the_library_alone_names_a_lost_servo(alone, tmp_path):
-    file = capture(tmp_path / 'bus.txt', 'silent:4:2')
-    done = run_alone(alone, alone / 'bin/dxl_doctor', file)
-    assert '1 error, 004' in done.stdout, done.stderr
-    assert done.returncode == 4
-    done = run_alone(alone, '-c', f"""
-import servobus
-with servobus.listen({str(file)!r}) as bus:
-    bus.run()
-print(*(f'{{one.device}} {{one.rule}}' for one in bus.findings), sep='\\n')""")
-    assert '4 no_answer' in done.stdout.splitlines(), done.stderr
-    listed = run_alone(alone, alone / 'bin/dxl-dump', file, '--count', '3')
-    assert len(listed.stdout.splitlines()) == 3, listed.stderr
-
-
-@pytest.mark.more
 def test_index_marker_and_share(prefix):
     share = prefix / 'share'
     assert (share / 'ament_index/resource_index/packages' / NAME).read_text() == ''
@@ -176,13 +159,6 @@ def test_ros2_run_finds_and_starts(prefix, tool):
     assert max(map(len, done.stdout.splitlines())) <= 80
 
 
-@pytest.mark.more
-def test_models_are_installed(prefix):
-    models = packages(prefix) / 'servobus/model/files'
-    assert {path.name for path in models.glob('*.yaml')} \
-        == {path.name for path in (ROOT / 'servobus/model/files').glob('*.yaml')} != set()
-
-
 def test_wrappers_are_the_commands():
     wrappers = {path.name: path.read_text()
                 for path in (ROOT / 'resource/executables').iterdir()}
@@ -206,19 +182,3 @@ def test_package_xml_names_what_is_imported():
                 assert top in depends, f'{path} imports {top}'
     assert package.find('export/build_type').text == 'ament_python'
     assert package.get('format') == '3'
-
-
-@pytest.mark.parametrize('package', ['msg_defs', 'servobus', NAME, 'vel2d_bridge', 'dxl_monitor',
-                                     'mecarover_dashboard', 'mecarover_fakes', 'launch'])
-def test_no_text_for_a_user_points_to_what_is_not_installed(package):
-    """The documents and deploy/ stay in the repository; docstrings and comments may name them."""
-    found = set()
-    for path in (ROOT / package).rglob('*.py'):
-        tree = ast.parse(path.read_text())
-        docstrings = {ast.get_docstring(node, clean=False) for node in ast.walk(tree)
-                      if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)}
-        found |= {(path.name, node.lineno, node.value) for node in ast.walk(tree)
-                  if isinstance(node, ast.Constant) and isinstance(node.value, str)
-                  and node.value not in docstrings
-                  and any(folder in node.value for folder in ('docs/', 'deploy/'))}
-    assert found == set()

@@ -2,10 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameter values: what is converted, and the one line for what cannot be."""
 from array import array
-import math
+from pathlib import Path
 import re
 
 import pytest
+import yaml
 
 from mecarover_serial.parameters import convert
 from mecarover_serial.parameters import Parameter
@@ -21,32 +22,23 @@ DEADMAN = Parameter('deadman', True, 'child process')
 FEED = Parameter('crc_input', 'bytes', 'feed', choices=('bytes', 'words'))
 PORTS = Parameter('ports', ['/dev/ttyUSB0'], 'ports', element=str)
 BAUDS = Parameter('bauds', [2_000_000], 'rates', 'bit/s', 9600, 4_500_000, element=int)
+BY_NAME = {one.name: one for one in (TIMEOUT, BAUD, PORT, DEADMAN, FEED, PORTS, BAUDS)}
+ROWS = yaml.safe_load(Path(__file__).with_name('parameter_values.yaml').read_text())
 
 
-@pytest.mark.parametrize(('parameter', 'raw', 'value'), [
-    (TIMEOUT, 1, 1.0), (TIMEOUT, 0, 0.0), (TIMEOUT, 0.05, 0.05), (BAUD, 9600.0, 9600),
-    (PORT, '', ''), (DEADMAN, False, False), (FEED, 'words', 'words'),
-    (PORTS, 'one', ['one']), (PORTS, [], []), (PORTS, [''], []), (PORTS, None, []),
-    (PORTS, [30, 31.0], ['30', '31']), (PORTS, 30, ['30']),
-    (BAUDS, 9600, [9600]), (BAUDS, array('q', [9600, 57600]), [9600, 57600]),
-])
-def test_converted(parameter, raw, value):
-    converted = convert(parameter, raw)
+@pytest.mark.parametrize(('name', 'raw', 'value'), [
+    *ROWS['converted'], ('bauds', array('q', [9600, 57600]), [9600, 57600])])
+def test_converted(name, raw, value):
+    converted = convert(BY_NAME[name], raw)
     assert converted == value
     assert type(converted) is type(value)
 
 
-@pytest.mark.parametrize(('parameter', 'raw'), [
-    (TIMEOUT, '1'), (TIMEOUT, True), (TIMEOUT, math.nan), (TIMEOUT, math.inf), (TIMEOUT, [1.0]),
-    (TIMEOUT, 0.04), (TIMEOUT, 10.1), (TIMEOUT, -1), (TIMEOUT, None),
-    (BAUD, 9600.5), (BAUD, 0), (BAUD, True), (BAUD, '9600'), (PORT, 5), (PORT, ['x']),
-    (DEADMAN, 1), (DEADMAN, 'true'), (FEED, 'byte'), (PORTS, [True]),
-    (BAUDS, [9600, 5_000_000]), (BAUDS, 'fast'), (BAUDS, ['x' * 1000]),
-])
-def test_refused_in_one_line(parameter, raw):
+@pytest.mark.parametrize(('name', 'raw'), ROWS['refused'])
+def test_refused_in_one_line(name, raw):
     with pytest.raises(ParameterError) as caught:
-        convert(parameter, raw)
-    assert re.fullmatch(rf'{parameter.name}: .+ is not possible; set an? .+, e\.g\. .+',
+        convert(BY_NAME[name], raw)
+    assert re.fullmatch(rf'{name}: .+ is not possible; set an? .+, e\.g\. .+',
                         str(caught.value))
     assert len(str(caught.value)) < 200
 
@@ -73,14 +65,7 @@ def test_words_for_people():
         'double', 'integer', 'string', 'bool', 'string list', 'integer list']
 
 
-@pytest.mark.parametrize(('words', 'values'), [
-    ('--ros-args -p cmd_vel_timeout:=0.25', {'cmd_vel_timeout': 0.25}),
-    ('--ros-args -p a:=1 -p a:=2 --param b:=1e-3 --params-file x -p c:=[1]',
-     {'a': 2, 'b': 0.001, 'c': [1]}),
-    ('--ros-args -p bridge:a:=true -p /bridge:b:=-2 -p /**:c:=x:=y -p other:d:=4',
-     {'a': True, 'b': -2, 'c': 'x:=y'}),
-    ('-p a:=1 --ros-args -p b:=2 -- -p c:=3 --ros-args -r d:=4 -p e', {'b': 2}),
-    ('--ros-args -p port:=/dev/tty:1 -p a:=[', {'port': '/dev/tty:1', 'a': '['}), ('', {}),
-])
+@pytest.mark.parametrize(('words', 'values'), yaml.safe_load(
+    Path(__file__).with_name('typed_parameters.yaml').read_text(encoding='utf-8')))
 def test_what_the_command_line_says(words, values):
     assert typed(words.split(), 'bridge') == values

@@ -88,19 +88,6 @@ def test_unplugged(use):
     port.close()
 
 
-def test_a_full_pty_takes_no_more():
-    with Pty() as pty:
-        port = open_port(pty.path, 115200)
-        # The kernel moves what it holds when it likes: full is when not even a byte goes.
-        for _ in range(1000):
-            if not port.write(bytes(4096)) and not port.write(b'x'):
-                break
-        else:
-            raise AssertionError('4 MB went into a pty that is not read')
-        port.drop_output()
-        port.close()
-
-
 def test_busy_names_the_holder():
     with Pty() as pty:
         code = (f'import fcntl, sys; f = open({pty.path!r}); fcntl.flock(f, 2); print(flush=True);'
@@ -161,17 +148,6 @@ def test_a_rate_that_the_driver_falls_back_to_is_no_ceiling(monkeypatch):
         port_module._check_rate(pty.path, 0, 4_000_000)
     assert caught.value.reason == 'the driver sets 9600 baud, not the 4000000 that was asked for'
     assert '9600' not in caught.value.remedy
-
-
-def test_loop_url_without_a_descriptor():
-    port = open_port('loop://', 9600)
-    assert port.fd is None
-    assert port.write(b'echo') == 4
-    assert port.wait(10)
-    assert port.read() == b'echo'
-    assert not port.wait(0.01)
-    assert port.pending() == 0
-    port.close()
 
 
 @pytest.mark.parametrize(('path', 'words'), [

@@ -264,13 +264,6 @@ def test_a_line_without_pauses_is_let_gather_for_longer(monkeypatch):
     assert line.heard[-2:] == [(b'b', 74 * MS), (b'c', 77 * MS)]    # a pause: for 1 ms again
 
 
-def test_how_long_bytes_may_gather_is_a_question_of_the_rate():
-    def longest_s(baud):
-        return reader.Loop(bool, bytes, print, print, idle_s=0.02, byte_ns=1e10 / baud)._longest_s
-    assert longest_s(1_000_000) == 0.004
-    assert longest_s(4_500_000) * 450_000 == pytest.approx(1536)    # a driver has 4096
-
-
 def test_the_largest_gap_counts_only_while_bytes_waited(monkeypatch):
     line = Line(monkeypatch, [(50 * MS, b'a'), (MS, b'b'), (MS, b'c')])
     line.heard = Late(line)

@@ -107,10 +107,6 @@ def test_a_status_that_is_too_large_takes_nothing_from_the_others(ros):
     assert [len(array.status) for array in build(ros, [large])] == [1]
 
 
-def test_nothing_to_say_is_no_message(ros):
-    assert build(ros, []) == []
-
-
 def test_kept_messages_follow_every_change(ros):
     arrays = ros.DiagnosticArrays()
     histories = [
@@ -225,24 +221,6 @@ def publish(ros, metrics, prefix='dxl', buses=(), topics='all'):
     publisher.publish(metrics, 100 * S)
     publisher.publish(metrics, 101 * S)
     return node
-
-
-def test_timing_topics_of_a_node_without_buses(ros):
-    node = publish(ros, [metric(), Metric('frame_rate', 'Hz', value=20.0),
-                         Metric('stamp_age', 'ms')], prefix='vel2d', topics='headline')
-    assert {topic: kind.__name__ for topic, kind in node.types.items()} == {
-        'vel2d/timing': 'DiagnosticArray',
-        'vel2d/timing/write_ms': 'Float64',
-        'vel2d/timing/frame_rate_hz': 'Float64',
-        'vel2d/timing/stamp_age_ms': 'Float64',
-    }
-    assert node.published['vel2d/timing/stamp_age_ms'] == []
-    array = over_the_wire(node.published['vel2d/timing'][1])
-    assert array.header.stamp.sec == 101
-    assert [item.name for item in array.status] == [
-        f'vel2d_node: timing/{name}' for name in ('write', 'frame_rate', 'stamp_age')]
-    assert over_the_wire(node.published['vel2d/timing/frame_rate_hz'][0]).data == 20.0
-    assert over_the_wire(node.published['vel2d/timing/write_ms'][0]).data == 3.0
 
 
 def test_timing_topics_of_several_buses_with_devices(ros):

@@ -140,6 +140,7 @@ def test_registered_write_waits_for_action(bench):
     assert bench.read(1, LED, 1) == (b'\x00', 0)
     assert bench.client.regWriteTxRx(bench.port, 1, LED, 1, [1]) == (0, 0)
     assert bench.known(1, LED, 1) == b'\x00'
+    assert bench.read(1, LED, 1) == (b'\x00', 0)
     assert bench.client.action(bench.port, 1) == sdk.COMM_SUCCESS
     wait(lambda: bench.known(1, LED, 1) == b'\x01')
     assert bench.read(1, LED, 1) == (b'\x01', 0)

@@ -91,34 +91,6 @@ def test_feetech_sdk(so_101):
     assert so_101.monitor.decoder.choice.dialect.name == 'Feetech'
 
 
-def test_a_loop_as_lerobot_has_it(so_101):
-    """Sync Read of two bytes at 56, Sync Write of two at 42, and the books of the fake."""
-    port, client = sdk(scservo_sdk, 0, so_101)
-    read = scservo_sdk.GroupSyncRead(port, client, 56, 2)
-    write = scservo_sdk.GroupSyncWrite(port, client, 42, 2)
-    for number in SO_101:
-        assert read.addParam(number)
-    for step in range(100):
-        assert read.txRxPacket() == 0
-        where = [read.getData(number, 56, 2) for number in SO_101]
-        assert set(where) == ({2048} if step == 0 else {2000 + step - 1})
-        write.clearParam()
-        for number in SO_101:
-            assert write.addParam(number, list((2000 + step).to_bytes(2, 'little')))
-        assert write.txPacket() == 0
-    port.closePort()
-    truth = so_101.bus.master.truth
-    wait(lambda: so_101.report().counters['Packets'] >= 800)
-    found = so_101.report()
-    assert found.counters['Instructions'] == 200
-    assert found.counters['Packets'] == 800
-    assert found.counters['Bytes'] == found.counters['Packet Bytes'] == 100 * (14 + 48 + 26)
-    for device in found.devices:
-        mine = truth.known[device.id]
-        assert (device.totals.answers, device.totals.missed) == (mine.answered, mine.missed)
-        assert (device.totals.answers, device.totals.writes) == (100, 100)
-
-
 def test_dynamixel_sdk_with_protocol_1():
     bench = Bench('dxl1', '1:AX-12A', '2:MX-28(1.0)', '7:RX-64')
     port, client = sdk(dynamixel_sdk, 1.0, bench)
@@ -170,18 +142,5 @@ def test_rustypot_reads_a_big_endian_servo():
     assert client.read_model(9) == [0x0405]
     bench.knows(9, Model_Number='1029')
     assert bench.shown(9)['Goal Position'][:4] in ('0.69', '0.70', '0.71')
-    del client
-    bench.close()
-
-
-@needs_rustypot
-def test_rustypot_with_protocol_1():
-    bench = Bench('dxl1', '5:AX-12A')
-    client = rustypot.AxPyController(bench.bus.path, BAUD, 1.0)
-    assert client.ping(5)
-    client.write_goal_position(5, -0.4)
-    assert client.read_present_position(5)[0] == pytest.approx(-0.4, abs=0.006)
-    assert client.read_model_number(5) == [12]
-    bench.knows(5, Model_Number='12')
     del client
     bench.close()

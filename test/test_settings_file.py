@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings files: what they are for, without some parameters; and unknown launch arguments."""
 from contextlib import nullcontext
+from pathlib import Path
 
 from harness import ROOT
 import pytest
@@ -12,6 +13,9 @@ from mecarover_serial.launch_arguments import UnknownArgument
 from mecarover_serial.settings_file import check
 from mecarover_serial.settings_file import SettingsError
 from mecarover_serial.settings_file import without
+
+ROWS = yaml.safe_load(
+    Path(__file__).with_name('settings_headers.yaml').read_text(encoding='utf-8'))
 
 FILE = """\
 /**:
@@ -62,16 +66,9 @@ def test_what_is_no_settings_file_is_said(text, words, file):
 
 # A header, and the nodes it is for, of these two.
 NODES = ['/vel2d_bridge', '/rover1/vel2d_bridge']
-HEADERS = [
-    ('/**', NODES), ('"**"', NODES), ('/*', NODES[:1]), ('vel2d_bridge', NODES[:1]),
-    ('/vel2d_bridge', NODES[:1]), ('rover1/vel2d_bridge', NODES[1:]),
-    ('/rover1/vel2d_bridge', NODES[1:]), ('rover1:\n  vel2d_bridge', NODES[1:]),
-    ('rover1:\n  "*"', NODES[1:]), ('/**/vel2d_bridge', NODES), ('/*/vel2d_bridge', NODES[1:]),
-    ('/rover1/**', NODES[1:]), ('/rover2/**', []), ('vel2d_brigde', []), ('dxl_monitor', []),
-]
 
 
-@pytest.mark.parametrize(('header', 'ours'), HEADERS)
+@pytest.mark.parametrize(('header', 'ours'), ROWS['headers'])
 def test_a_file_with_nothing_for_a_node_is_refused(header, ours, file):
     of_another = file('dxl_monitor:\n  ros__parameters: {a: 1}\n')
     path = file(f'{header}:\n    ros__parameters: {{a: 1}}\n')
@@ -83,7 +80,7 @@ def test_a_file_with_nothing_for_a_node_is_refused(header, ours, file):
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize(('header', 'ours'), HEADERS)
+@pytest.mark.parametrize(('header', 'ours'), ROWS['headers'])
 def test_rclpy_takes_a_header_alike(header, ours, file, ros):
     path = file(f'{header}:\n    ros__parameters: {{a: 1}}\n')
     for node in NODES:

@@ -4,11 +4,9 @@
 import os
 from pathlib import Path
 import platform
-import pty
 import shutil
 import subprocess
 
-from harness import shown_on
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -62,19 +60,6 @@ def test_a_log_gets_a_line_for_every_tenth_package(tree):
         'setup:   10 packages found', 'setup:   20 packages found',
         'setup:   25 packages found, installing them', 'setup: done']
     assert run_setup(tree) == []            # it is all there
-
-
-def test_a_terminal_gets_one_line_that_is_written_again(tree):
-    master, slave = pty.openpty()
-    run_setup(tree, stdout=slave, INSTALLING_S='2')
-    os.close(slave)
-    first, progress, last = shown_on(master).strip('\n').split('\n')
-    assert first.startswith('setup: installing dashboard ros')
-    states = [state.removesuffix('\033[K') for state in progress.split('\r') if state]
-    assert states[2].startswith('setup:   3 packages found (')
-    assert states[PACKAGES].startswith('setup:   25 packages found, installing them (')
-    assert len(states) > PACKAGES + 1, 'nothing moves while it installs'
-    assert last == 'setup: done'
 
 
 def test_a_failure_is_one_line_at_the_end(tree):

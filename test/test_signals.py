@@ -1,7 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """Chosen registers at the rate of the bus: what is recorded is what was sent; it is bounded."""
-from itertools import pairwise
 from random import Random
 import struct
 
@@ -121,16 +120,6 @@ def test_memory_is_bounded_and_numbers_go_on():
     assert ring.after(KEPT + 4999, 0.0).data == found.data[-16:]
     assert ring.after(KEPT + 5000, 0.0).data == b''
     assert ring.after(10**12, 0.0) == found             # unknown: all
-
-
-def test_what_is_silent_has_no_points():
-    monitor = bus_of(1, 2)
-    points(monitor, 2, PRESENT)
-    sent = {}
-    list(fed(sent, monitor, [1, 2], 50, 6, silent=(2, 2.0, 4.0)))
-    times = [at_s for at_s, _ in points(monitor, 2, PRESENT)]
-    assert times == [at_s for at_s, _ in sent[2]]
-    assert max(b - a for a, b in pairwise(times)) == pytest.approx(2.02)
 
 
 def test_goals_are_recorded_as_written_unless_refused():

@@ -58,16 +58,6 @@ def test_a_sick_device_has_a_line_and_an_exit_code(group, code, level):
     assert exit_code(state) == code
 
 
-@pytest.mark.parametrize('model', ['unknown', 'unknown (4711)', 'MX-64'])
-def test_level_and_message_are_those_of_the_status(model):
-    state = State()
-    status = Status('dxl_monitor: 001', Level.OK, 'as judged', '1', [
-        ('Model', model), ('Firmware Version', 'unknown'), ('State', 'connected')])
-    state.store_message(OVERVIEW, serialise([status]), 1.0)
-    [line] = [line for line in status_lines(state, 1.0, every_device=True) if line.what == '001']
-    assert (line.level, line.message) == (Level.OK, 'as judged')
-
-
 def test_robots_are_told_apart_and_a_namespace_has_its_own():
     robots = [SyntheticRobot(namespace=f'rover{number}') for number in (1, 2)]
     robots[1].lost = {7}

@@ -7,7 +7,6 @@ strace_6.1.txt was recorded from a program that reads, writes, sets rates (57600
 flushes, blocks in a thread, forks and copies its descriptor.
 """
 
-import json
 from operator import itemgetter
 import os
 from pathlib import Path
@@ -223,19 +222,6 @@ def test_a_library_that_opens_ports_by_itself_is_heard(has_strace, tmp_path):
         told += reader.rest()
         assert heard(told, OUT, far.pty.path) == far.got != b''
         assert heard(told, IN, far.pty.path) == far.sent
-
-
-@needs_strace
-@pytest.mark.realtime(bears=0.02)
-def test_the_doctor_hears_a_program_to_its_end():
-    with peers(lambda data: data) as (far,):
-        done = subprocess.run(
-            [sys.executable, '-m', 'servobus.tools.dxl_doctor', '--json', 'run', '--by',
-             'strace', '--', sys.executable, '-c',
-             textwrap.dedent(PLAIN.format(path=far.pty.path, times=20))],
-            cwd=ROOT, capture_output=True, text=True, timeout=60)
-        [bus] = json.loads(done.stdout)['buses']
-        assert (bus['baud'], bus['counters']['Bytes']) == (1000000, 2 * len(far.got))
 
 
 LASTING = """

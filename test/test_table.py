@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The memory image of a device: what is known, since when, from whom; indirect data; bounds."""
 
+from pathlib import Path
 import struct
 
 import pytest
+import yaml
 
 from servobus.bus.table import READ
 from servobus.bus.table import Table
@@ -58,10 +60,8 @@ def point(table, model, first, targets, stamp):
     table.store(address, struct.pack(f'<{len(targets)}H', *targets), stamp, WRITTEN)
 
 
-@pytest.mark.parametrize(('name', 'firmware', 'first', 'data'), [
-    ('MX-106', None, 1, 224), ('MX-106', None, 29, 634), ('XM430-W350', None, 5, 228),
-    ('XL330-M288', 53, 1, 224), ('XL330-M288', 52, 1, 208), ('XL330-M288', None, 1, 224),
-    ('PH54-200-S500', None, 65, 698), ('YM070-210-R051', None, 3, 636)])
+@pytest.mark.parametrize(('name', 'firmware', 'first', 'data'), yaml.safe_load(
+    Path(__file__).with_name('indirect_reads.yaml').read_text(encoding='utf-8')))
 def test_an_indirect_read_shows_under_the_real_name(name, firmware, first, data):
     table, model = Table(), servo(name, firmware)
     register = model.by_name['Present Position']

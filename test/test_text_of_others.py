@@ -40,7 +40,6 @@ from servobus.sources.capture import Writer
 from servobus.sources.tap_reader import _Connection
 from servobus.tools.doctor import issue_report
 
-ROOT = Path(__file__).parents[1]
 # Colour, title, clear screen, C1, bidi override, line separators, a bell: and a line of our own.
 EVIL = '=evil\x1b[31m\x1b]0;t\x07\x1b[2J\x9b31m\u202e\u2028\r\nall is well\x00\x7f'
 LONE = '\udc9b'                 # a byte that is no UTF-8, as Python has it in a name of a file

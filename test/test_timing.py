@@ -20,17 +20,11 @@ from msg_defs.timing import SLICES
 S = 1_000_000_000
 MS = 1_000_000
 DISTRIBUTIONS = {
-    'uniform': lambda r: r.uniform(0.2, 9.0),
-    'normal': lambda r: r.gauss(16.0, 0.5),
     'around zero': lambda r: r.gauss(0.0, 1.0),
     'negative': lambda r: -r.lognormvariate(0.0, 1.0),
-    'lognormal': lambda r: r.lognormvariate(-3.0, 1.5),
     'constant': lambda r: 0.125,
     'zero': lambda r: 0.0,
-    'integers': lambda r: float(r.choice((1, 64, 128, 4096))),
-    'two peaks': lambda r: r.gauss(0.3, 0.01) if r.random() < 0.7 else r.gauss(16.0, 0.2),
     'heavy tail': lambda r: 0.05 * r.paretovariate(1.2),
-    'tiny': lambda r: r.uniform(2e-6, 5e-6),
     'huge': lambda r: r.uniform(1e6, 9e8),
 }
 
@@ -135,13 +129,6 @@ def test_readers_and_resets_do_not_disturb_the_writer():
         done.set()
         reader.join()
     assert odd == []
-
-
-def test_rate_over_a_full_window():
-    rate = Rate(window_s=10.0)
-    for i in range(20_000):
-        rate.add(20, i * MS)
-    assert rate.per_second(20 * S) == pytest.approx(20_000, rel=0.01)
 
 
 def test_rate_falls_to_zero_in_silence_and_recovers():

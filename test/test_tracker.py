@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Each rule of pairing on its own: what an answer means, who is missed, what a table takes in."""
 
-from pathlib import Path
 
 import pytest
 from tracked_bus import Bus
@@ -24,7 +23,6 @@ from msg_defs.dxl_packet import encode
 from servobus.bus import evidence as ev
 from servobus.model.models import Models
 
-TRACE = Path(__file__).parents[2] / 'shared' / 'data' / 'bus_trace_head.bin'
 GRIPPER = 4660                     # a model of the user
 
 
@@ -130,29 +128,6 @@ def test_a_latency_that_few_answers_tell_is_not_told(together, is_told):
 
 
 # --- any bytes ---
-
-
-def test_the_robot_trace_in_any_chunks():
-    if not TRACE.is_file():
-        pytest.skip('skipped: the robot trace is not here')
-    data = TRACE.read_bytes()
-    results = []
-    for size in (len(data), 4096, 64):
-        bus = Bus()
-        bus.hear(*(data[at:at + size] for at in range(0, len(data), size)))
-        results.append({n: (bus.device(n).model.name, bus.counts(n).answers, bus.counts(n).missed,
-                            bus.counts(n).not_served, bus.counts(n).damaged)
-                        for n in sorted(bus.registry.devices)})
-    assert results[0] == results[1] == results[2]
-    found = results[0]
-    assert set(found) == {*range(1, 21), 101}
-    names = [found[n][0] for n in range(1, 21)]
-    assert (names.count('MX-64'), names.count('MX-106'), names.count('unknown')) == (8, 9, 3)
-    assert found[1] == ('MX-64', 399, 10, 0, 4)
-    assert found[20] == ('MX-64', 310, 17, 81, 12)    # 3 behind a damaged answer
-    assert found[101] == ('unknown', 0, 335, 0, 0)
-    assert sum(row[1] for row in found.values()) == 7524
-    assert sum(row[2] for row in found.values()) == 683
 
 
 # --- exactly what is noted ---

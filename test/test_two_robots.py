@@ -60,15 +60,6 @@ def test_each_status_is_of_one_robot(robots, graph):
     assert port == f'{robots}/mcu_rover1'
 
 
-def test_two_robots_in_namespaces_are_no_mistake(robots, graph):
-    for robot in ('rover1', 'rover2'):
-        graph.wait_status(f'{robot}/dxl_monitor: bus')
-        status = graph.wait_status(f'{robot}/vel2d_bridge: commands', 'no stop has been sent')
-        assert 'subscribes it too' not in str(status)
-        for status in list(graph.statuses.values()):
-            assert 'nodes have this name' not in str(status)
-
-
 def test_one_teleop_for_two_rovers_is_said_by_both_bridges(graph, tmp_path):
     """Each is well, so nothing else would say it; in the log it stands once."""
     names = ['left', 'right']

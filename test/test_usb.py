@@ -10,7 +10,6 @@ from functools import partial
 import io
 import os
 from pathlib import Path
-import shutil
 import struct
 import subprocess
 import sys
@@ -26,7 +25,6 @@ from usb_files import log
 from usb_files import ports_in
 from usb_files import REAL
 from usb_files import side
-from usb_files import tshark
 
 from mecarover_fakes.usb_adapter import FakeAdapter
 from mecarover_fakes.usb_adapter import FAMILIES
@@ -96,21 +94,6 @@ def test_real_capture_is_what_the_master_wrote_and_read(session, kind):
     assert ('rts', 1) in changes(heard)
 
 
-@pytest.mark.skipif(not shutil.which('tshark'), reason='tshark is not installed (apt has it)')
-@pytest.mark.parametrize('session', SESSIONS)
-def test_tshark_sees_the_same_payloads(session):
-    file = REAL / f'{session}.pcap'
-    fields = ('usb.endpoint_address', 'ftdi-ft.if_a_rx_payload', 'ftdi-ft.if_a_tx_payload',
-              'usb.capdata')
-    theirs = {OUT: b'', IN: b''}
-    for endpoint, *payloads in tshark(file, fields, '-Y', 'usb.transfer_type == 3'):
-        text = next((one for one in payloads if one), '')
-        incoming = int(endpoint.split(',')[0], 0) & 0x80
-        theirs[IN if incoming else OUT] += bytes.fromhex(text.replace(',', '').replace(':', ''))
-    heard = hear(read(file.read_bytes())[0])
-    assert (side(heard, OUT), side(heard, IN)) == (theirs[OUT], theirs[IN])
-
-
 # --- adapters ----------------------------------------------------------------------------------
 
 
@@ -125,13 +108,6 @@ def test_what_an_adapter_carries_comes_back(family, chunks, transfer_size):
     order = [one.side for one in heard if one.data]
     assert [one for n, one in enumerate(order) if not n or order[n - 1] != one] == [
         one for n, (one, _) in enumerate(chunks) if not n or chunks[n - 1][0] != one]
-
-
-@pytest.mark.parametrize('family', FAMILIES)
-@pytest.mark.parametrize('baud', [9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000])
-def test_rate_is_learned(family, baud):
-    heard = hear(events(stream(FakeAdapter(family), [(OUT, b'\xff\xff')], baud)))
-    assert [value for what, value in changes(heard) if what == 'baud'] == [baud]
 
 
 @pytest.mark.parametrize(('divisor', 'baud'), [
@@ -238,12 +214,6 @@ def test_what_never_left_the_host_and_unplugging():
     assert changes(heard)[-3:] == [('not_sent', 3), ('unplugged', 1), ('unplugged', 1)]
 
 
-def test_idle_transfers_say_nothing():
-    adapter = FakeAdapter('ftdi')
-    whole = stream(adapter, [(OUT, b'\xff\xff')])
-    assert len(hear(events(whole + adapter.idle(BEGAN) * 3))) == len(hear(events(whole)))
-
-
 @pytest.mark.parametrize('family', FAMILIES)
 @given(chunks=CHUNKS, transfer_size=st.integers(1, 1200), data=st.data())
 @FEW_EXAMPLES
@@ -326,18 +296,6 @@ def test_big_endian_file():
     found, problems = read(file)
     assert not problems
     assert side(hear(found), IN) == b'abc'
-
-
-@given(data=st.data())
-@FEW_EXAMPLES
-def test_records_may_come_in_any_pieces(data):
-    whole = stream(FakeAdapter('cdc-acm'), [(OUT, b'\xff\xff'), (IN, ALL_BYTES)])
-    borders = sorted(data.draw(st.lists(st.integers(0, len(whole)), max_size=20)))
-    records, found = Records(), []
-    for begin, end in zip([0, *borders], [*borders, len(whole)], strict=True):
-        found += records.events(whole[begin:end])
-    assert found == events(whole)
-    assert (records.skipped, records.rest) == (0, b'')
 
 
 @pytest.mark.parametrize('wrap', [lambda whole: whole, lambda whole: pcap(MMAPPED, whole),

@@ -17,7 +17,6 @@ from test_dump import MODELS
 from test_dump import objects
 from test_dump import SECOND
 from test_packet_file import with_sides
-from test_tracker import TRACE
 from usb_files import REAL
 
 from mecarover_fakes.fake_bus import make_devices
@@ -134,13 +133,6 @@ def test_the_1_0_family(dialect, family, tmp_path, dissector):
         dissector, text, tmp_path, ['--devices', devices, '--protocol', PROTOCOLS[dialect]],
         '-o', f'servobus.devices:{devices}', '-o', f'servobus.family:{family}', is_family_1=True)
     assert packets > 100 and registers
-
-
-@needs_tshark
-@pytest.mark.skipif(not TRACE.exists(), reason='skipped: needs bus_trace_head.bin')
-def test_the_recorded_bus_of_a_humanoid(tmp_path, dissector):
-    packets, _ = compare(dissector, TRACE, tmp_path, [])
-    assert packets > 5000
 
 
 @needs_tshark
