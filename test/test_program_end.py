@@ -22,7 +22,7 @@ from msg_defs.event import OUT
 from msg_defs.event import UNREAD
 from msg_defs.reports import Level
 from servobus.bus.report import OWN
-from servobus.bus.report import ROBBER
+from servobus.bus.report import STOLE_REPLIES
 from servobus.examination import Examination
 from servobus.model.models import Models
 from servobus.sources import tap_sender as sent
@@ -154,8 +154,8 @@ def test_an_error_bit_of_feetech_is_what_is_now():
 @pytest.mark.parametrize(('said', 'others'), [
     ('+1 +2 1 2 1 2', OWN), ('+1 +2 1 1 1 1', ''), ('+1 +2 1 1 2 2', ''),
     ('+1 1 -1 +2 2 -2 +1 1 -1 +2 2', ''),          # one after the other
-    ('+1 +2 1 2 1 robbed 1', ROBBER), ('+1 +2 1 2 1 -2 robbed 1', ''),
-    ('+1 1 +2 2 r1', ROBBER), ('+1 1 r1 +2 2 r2', ''), ('+1 1 +2 r2 r2', ''),
+    ('+1 +2 1 2 1 robbed 1', STOLE_REPLIES), ('+1 +2 1 2 1 -2 robbed 1', ''),
+    ('+1 1 +2 2 r1', STOLE_REPLIES), ('+1 1 r1 +2 2 r2', ''), ('+1 1 +2 r2 r2', ''),
 ], ids=['two', 'one idle', 'handed on', 'in turns', 'robbed', 'unplugged', 'reads of the other',
         'each reads its own', 'one writes, one reads'])
 def test_two_who_ask_on_one_port_are_noticed(said, others):

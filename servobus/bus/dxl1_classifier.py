@@ -182,7 +182,7 @@ class Dxl1Classifier:
             device = self._registry.devices.get(noise[at + 1])
             if device is not None and device.heard and noise[at + 2] >= MIN_LENGTH \
                     and end <= len(noise) and sum(noise[at + 1:end]) & 0xFF == 0xFF:
-                device.counts.beheaded += 1
+                device.counts.first_byte_lost += 1
                 at = end - 1
             at = noise.find(0xFF, at + 1)
 

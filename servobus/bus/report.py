@@ -46,7 +46,7 @@ RAISED = 'raised'                  # by an exception of its servo library
 
 # Who else uses its port: a program that it started, or itself where it opens the port twice.
 OWN = 'another part of this program'
-ROBBER = f'{OWN}, which took its answers,'
+STOLE_REPLIES = f'{OWN}, which took its answers,'
 
 
 class Error(NamedTuple):
@@ -126,12 +126,12 @@ class Counts:
     reads: int = 0
     eeprom_writes: int = 0
     spoilt: int = 0                # missed answers with damage or noise in their place
-    beheaded: int = 0              # answers that only their first byte was missing of (1.0)
+    first_byte_lost: int = 0              # answers that only their first byte was missing of (1.0)
     model_changes: int = 0         # how often it said to be another model
     garbled: int = 0               # damage where its answer was due
     fast_answers: int = 0          # its parts of fast replies
     pongs: int = 0                 # answers to Pings
-    surplus: int = 0               # bytes came after its answer, or too many in its place
+    overlong_replies: int = 0               # bytes came after its answer, or too many in its place
     data_missed: int = 0           # `missed` without the acks: data that it was asked for
 
     @property

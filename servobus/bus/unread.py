@@ -58,7 +58,7 @@ UNREAD_REPLY_NS = 10_000_000_000   # for so long an answer may wait unread
 ADAPTER_DELAY_NS = 17_000_000      # a latency timer of 16 ms, and Return Delay Time
 ADAPTER_SPARE_NS, ADAPTER_SLOWDOWN = 5_000_000, 2      # an adapter gets slower by no more
 NO_WAIT_NS = 500_000               # who looks no longer than that did not wait for an answer
-HUNG_NS = 2_000_000_000            # a program that waits longer has no time-out
+HUNG_WAIT_NS = 2_000_000_000            # a program that waits longer has no time-out
 QUESTIONS_KEPT = 16
 ALIVE_MAX_MISSED = 2               # in a row: after more it may be dead
 STALE_MIN_QUESTIONS = 20           # in a row, each while an answer waited
@@ -361,7 +361,7 @@ class UnreadAnswers:
         if (is_noisy or self.discarded) and len(plan.slots) == 1 \
                 and not (self.deferred or self.old_until):
             slot = next(iter(plan.slots.values()))
-            slot.device.counts.surplus += received + self.discarded > slot.status_size + 1
+            slot.device.counts.overlong_replies += received + self.discarded > slot.status_size + 1
         self.discarded = 0
 
     # --- the program has ended ------------------------------------------------------------------
@@ -376,7 +376,7 @@ class UnreadAnswers:
         end = max(end, self.reported_ns, self._vain_read_ns)
         for question in questions:
             slot, waited = next(iter(question.due), None), end - question.asked
-            if waited > HUNG_NS and slot is not None and slot.due is not Due.ACK \
+            if waited > HUNG_WAIT_NS and slot is not None and slot.due is not Due.ACK \
                     and not self.old_until \
                     and max(self._vain_read_ns, self._purged_ns) < question.asked:
                 self._evidence.add_incident(end, ev.HUNG, slot.device.number,

@@ -18,7 +18,7 @@ from servobus.bus import report as words
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import Incident
 from servobus.bus.table import IDENTITY
-from servobus.bus.unread import HUNG_NS
+from servobus.bus.unread import HUNG_WAIT_NS
 from servobus.doctor.case import Case
 from servobus.doctor.case import is_waiting
 from servobus.doctor.case import Sample
@@ -298,7 +298,7 @@ def _claim_left_open(case: Case) -> Claims:
     hung = [(one.device, one.detail.us / 1e6) for one in case.incidents(ev.HUNG)]
     last = case.last_wait
     if last is not None and not last.is_spoilt and last.instruction != Instruction.PING \
-            and case.report.is_over and case.now - last.stamp > HUNG_NS:
+            and case.report.is_over and case.now - last.stamp > HUNG_WAIT_NS:
         hung.append((last.device, (case.now - last.stamp) / NS_PER_S))
     for number, seconds in hung:
         yield Claim('did not answer the last question, and the program asked nothing more for '

@@ -47,8 +47,8 @@ BOTH_WAYS_MIN_SHARE = 0.2          # share of the damage, in instructions: both 
 DAMAGE_ONSET_S = 1.0               # by then it has shown whether something else does it
 TURNAROUND_MIN_SHARE = 0.01        # share of the answers, with a damaged first byte
 FIRST_BYTE_BY_CHANCE = 1 / 8       # share of damage that hits a first byte by chance
-SURPLUS_MIN_ANSWERS = 5            # with bytes after them
-SURPLUS_MIN_SHARE = 0.2            # share of its answers: a second device answers each time
+OVERLONG_MIN_ANSWERS = 5            # with bytes after them
+OVERLONG_MIN_SHARE = 0.2            # share of its answers: a second device answers each time
 AGAIN_MIN_SHARE = 0.7              # share of the damage, where its answer comes once more
 SECOND_ANSWERS_FACTOR = 1.5        # times those that come at any other time
 ECHO_MIN_INSTRUCTIONS = 5
@@ -283,7 +283,7 @@ def duplicate_id(case: Case, device: DeviceReport) -> Found | None:
     if _says_too_much(case, device):
         return Claim('more bytes come than its answers have, not so from others: two '
                      'devices have this ID; unplug one and change the ID of the other',
-                     {'answers': window.surplus})
+                     {'answers': window.overlong_replies})
     is_enough = twice >= (1 if at_end else INCIDENTS_MIN)
     if not models and not (is_enough and twice >= SECOND_ANSWERS_FACTOR * others):
         return None
@@ -298,11 +298,12 @@ def duplicate_id(case: Case, device: DeviceReport) -> Found | None:
 
 def _says_too_much(case: Case, device: DeviceReport) -> bool:
     """Tell whether bytes follow the answers of this device alone: a cable only changes them."""
-    surplus, asked = device.window.surplus, device.window.asked
+    overlong, asked = device.window.overlong_replies, device.window.asked
     others = [one.window for one in case.report.devices
-              if one is not device and one.window.answers >= surplus]
-    return surplus >= max(SURPLUS_MIN_ANSWERS, SURPLUS_MIN_SHARE * asked) and bool(others) and all(
-        10 * one.surplus <= surplus for one in others) and not case.count(ev.LATE)
+              if one is not device and one.window.answers >= overlong]
+    return overlong >= max(OVERLONG_MIN_ANSWERS, OVERLONG_MIN_SHARE * asked) and bool(others) \
+        and all(10 * one.overlong_replies <= overlong for one in others) \
+        and not case.count(ev.LATE)
 
 
 def _alone_answers_again(case: Case, device: DeviceReport) -> bool:
@@ -358,8 +359,8 @@ def turnaround(case: Case) -> Claims:
            and _first_bytes(device) > TURNAROUND_MIN_SHARE * device.window.answers
            and _first_bytes(device) > FIRST_BYTE_BY_CHANCE * device.window.spoilt]
     total = sum(_first_bytes(one) for one in touched)
-    beheaded = sum(device.window.beheaded for device in touched)
-    if (total - beheaded <= FIRST_BYTE_BY_CHANCE * case.damage and beheaded <= case.damage) \
+    lost = sum(device.window.first_byte_lost for device in touched)
+    if (total - lost <= FIRST_BYTE_BY_CHANCE * case.damage and lost <= case.damage) \
             or is_overlaid(case):
         return
     if hit and len(touched) > 2 and max(map(_first_bytes, touched)) < ONE_DEVICE_MIN_SHARE * total:
@@ -383,12 +384,12 @@ def turnaround(case: Case) -> Claims:
 
 def _first_bytes(device: DeviceReport) -> int:
     """Return how many answers were whole but for their first byte."""
-    return device.window.repaired + device.window.beheaded
+    return device.window.repaired + device.window.first_byte_lost
 
 
 def _answers_heard(device: DeviceReport) -> int:
     """Return how many answers came: those of 1.0 without their first byte were missed."""
-    return device.window.answers + device.window.beheaded
+    return device.window.answers + device.window.first_byte_lost
 
 
 @Rule(subject='bus',

@@ -26,7 +26,7 @@ from servobus.bus import evidence as ev
 from servobus.bus.report import Cycle
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import Incident
-from servobus.bus.report import ROBBER
+from servobus.bus.report import STOLE_REPLIES
 from servobus.doctor.case import Case
 from servobus.doctor.case import key_of
 from servobus.doctor.facts import fatal_late_answer
@@ -107,7 +107,7 @@ def two_masters(case: Case) -> Claims:
         return
     lost = sum(one.window.missed for one in case.report.devices if one.id not in case.gone)
     harm = lost + case.damage + case.count(ev.LATE) + INCIDENTS_MIN * case.count(ev.UNASKED)
-    if ROBBER in case.report.users or (case.report.users and harm >= INCIDENTS_MIN):
+    if STOLE_REPLIES in case.report.users or (case.report.users and harm >= INCIDENTS_MIN):
         yield Claim(f'{", ".join(case.report.users)} uses this port too, and answers get '
                     'lost or damaged: let only one use it',
                     {'missed answers': lost, 'damaged packets': case.damage}, is_certain=True)

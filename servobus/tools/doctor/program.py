@@ -28,7 +28,7 @@ from msg_defs.reports import Level
 from servobus.bus.report import FAILED
 from servobus.bus.report import OWN
 from servobus.bus.report import RAISED
-from servobus.bus.report import ROBBER
+from servobus.bus.report import STOLE_REPLIES
 from servobus.plain import printable
 from servobus.port.port_users import holders
 from servobus.port.port_users import is_running
@@ -139,7 +139,7 @@ class Openings:
         elif record.side and is_other:
             turns[:] = [*turns, record.opening][-TURNS_OF_TWO:]
         if is_shared and self.is_robbed:
-            self.found[bus] = ROBBER
+            self.found[bus] = STOLE_REPLIES
         elif is_shared and len(turns) == TURNS_OF_TWO > len({*turns}):
             self.found.setdefault(bus, OWN)
 
