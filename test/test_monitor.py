@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bus over time: states, levels and words, rates, idle lines; against the simulated truth."""
 
+from dataclasses import replace
 from pathlib import Path
 import struct
 
@@ -266,7 +267,7 @@ def survives(monkeypatch):
 
 
 @pytest.mark.parametrize(('where', 'name'), [
-    (Tracker, 'track'), (BusDecoder, 'hear'), (BusDecoder, 'pause')])
+    (Tracker, 'process_frames'), (BusDecoder, 'process_chunk'), (BusDecoder, 'process_pause')])
 def test_a_mistake_of_ours_costs_no_byte_and_is_logged_once(survives, caplog, monkeypatch, where,
                                                            name):
     bus, calls, right = Bus(), [], getattr(where, name)
@@ -294,7 +295,7 @@ def test_a_rule_that_fails_is_left_out_and_logged_once(survives, caplog, monkeyp
         yield
 
     monkeypatch.setattr(doctor, 'RULES', tuple(
-        rule._replace(check=wrong, each=False) if rule.name == 'duplicate_id' else rule
+        replace(rule, check=wrong, each_device=False) if rule.name == 'duplicate_id' else rule
         for rule in doctor.RULES))
     bus = Bus()
     for _ in range(30):
