@@ -27,12 +27,12 @@ from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
 from msg_defs.reports import Level
-from servobus import doctor
 from servobus import internal_fault
 from servobus.bus.decoder import BusDecoder
 from servobus.bus.decoder import Settings
 from servobus.bus.expected import parse_all
 from servobus.bus.tracker import Tracker
+from servobus.doctor import rules
 from servobus.monitor import Monitor
 
 HEARD = yaml.safe_load(Path(__file__).with_name('monitor.yaml').read_text(encoding='utf-8'))
@@ -294,9 +294,9 @@ def test_a_rule_that_fails_is_left_out_and_logged_once(survives, caplog, monkeyp
         raise IndexError('of this rule')
         yield
 
-    monkeypatch.setattr(doctor, 'RULES', tuple(
+    monkeypatch.setattr(rules, 'RULES', tuple(
         replace(rule, check=wrong, each_device=False) if rule.name == 'duplicate_id' else rule
-        for rule in doctor.RULES))
+        for rule in rules.RULES))
     bus = Bus()
     for _ in range(30):
         bus.hear(READ, every_ms=100)
