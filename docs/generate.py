@@ -10,9 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 import sys
 
+from docs.screens import with_screens
 from dxl_monitor.monitor_settings import PARAMETERS as MONITOR
 from mecarover_serial.parameters import Parameter
 from msg_defs.dxl_packet import encode
@@ -29,6 +31,8 @@ from servobus.status import bus_status
 from servobus.status import device_metrics
 from servobus.status import device_status
 from servobus.status import PortState
+from servobus.tools.doctor.explain import Explanation
+from servobus.tools.doctor.explain import explanations
 from vel2d_bridge.bridge_settings import PARAMETERS as BRIDGE
 from vel2d_bridge.bridge_status import Commands
 from vel2d_bridge.bridge_status import commands_status
@@ -299,13 +303,40 @@ def _monitor() -> tuple[list[str], list[str], Sequence[Metric], Sequence[Metric]
     return keys, [key for key, _ in device.values], report.metrics, device_metrics(report)
 
 
+def errors() -> str:
+    """Return the page about error texts, a section for each: search engines find them."""
+    return '\n'.join([
+        '# Error texts of servo libraries\n', NOTE,
+        'What a program prints when a servo bus fails, and what it means on the wire; '
+        'differs. Causes are [findings](doctor.md), the likeliest first: `dxl_doctor run -- '
+        'COMMAND` listens, and says which it is. `dxl_doctor --explain "TEXT"` finds these '
+        'sections in a terminal.\n', *map(_error, explanations())])
+
+
+def _error(one: Explanation) -> str:
+    also = ''.join(f', `{text.replace("{}", "...")}`' for text in one.also)
+    causes = ', '.join(f'`{rule}`' for rule in one.findings)
+    parts = [f'## {one.text.replace("{}", "...")}\n', f'{", ".join(one.says)}{also}\n',
+             ' '.join(filter(None, [one.means, one.do])) + '\n',
+             f'Causes: {causes}\n' if causes else '']
+    return '\n'.join(filter(None, parts))
+
+
+def page_with_screens(name: str) -> str:
+    """Return a page by hand with its screens up to date."""
+    return with_screens((ROOT / name).read_text())
+
+
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     lines = [head, ['---'] * len(head), *rows]
     return ''.join('| ' + ' | '.join(cell.replace('|', '\\|') for cell in line) + ' |\n'
                    for line in lines)
 
 
-PAGES = {'docs/parameters.md': parameters, 'docs/diagnostics.md': diagnostics}
+PAGES = {'docs/parameters.md': parameters, 'docs/diagnostics.md': diagnostics,
+         'docs/errors.md': errors,
+         **{name: partial(page_with_screens, name)
+            for name in ('README.md', 'docs/so101.md', 'docs/openmanipulator.md')}}
 
 
 def main(check: bool) -> int:

@@ -1,0 +1,156 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The screens of dxl_doctor that README and docs/ show: simulated arms, in simulated time.
+
+A page has `<!-- screen: NAME -->` above a block; docs/generate.py fills the block. The program of
+the SO-101 asks what lerobot-teleoperate (LeRobot 7427f31) asks, and waits as long; fake_bus with
+such a program on its pty gave the same screens, but for their figures.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterator
+import re
+from typing import NamedTuple
+
+from mecarover_fakes.fake_bus import make_devices
+from mecarover_fakes.fake_bus import make_line
+from mecarover_fakes.faults import parse
+from mecarover_fakes.line import Burst
+from mecarover_fakes.line import MASTER
+from mecarover_fakes.master import Master
+from mecarover_fakes.traffic import Ask
+from mecarover_fakes.traffic import none
+from mecarover_fakes.traffic import PATTERNS
+from msg_defs.event import Change
+from msg_defs.event import Chunk
+from msg_defs.event import CLOSED
+from msg_defs.event import IN
+from msg_defs.event import OUT
+from servobus.examination import Examination
+from servobus.model.models import Models
+from servobus.sources.capture import Wire
+from servobus.tools.doctor.answer_screen import screen
+from servobus.tools.doctor.program import Ending
+from servobus.tools.doctor.verdict import verdict
+
+BAUD = 1_000_000
+S, MS = 1_000_000_000, 1_000_000
+CYCLE_NS = 16_666_667              # 60 Hz
+TIME_OUT_NS = 51 * MS              # of LeRobot's port
+PAUSE_NS = MS                      # of program and USB between two questions
+PING, READ, WRITE, SYNC_READ, SYNC_WRITE, ALL = 1, 2, 3, 0x82, 0x83, 0xFE
+SO101 = range(1, 7)
+TRIES = 3                          # of the follower's Sync Read: num_read_retries is 2
+FOLLOWER, LEADER = 'ttyACM0', 'ttyACM1'
+MISSING = "RuntimeError: FeetechMotorsBus motor check failed on port '/dev/ttyACM0': Missing " \
+    'motor IDs: - {} (expected model: 777)'
+FAILED = "ConnectionError: Failed to sync read 'Present_Position' on ids=[1, 2, 3, 4, 5, 6] " \
+    'after 3 tries. [TxRxResult] There is no status packet!'
+
+
+class Run(NamedTuple):
+    """A source and the fault on its bus; error: with which the program ends then."""
+
+    source: str
+    fault: str = ''
+    error: str = ''
+    seconds: float = 6.0
+
+
+TELEOPERATE = 'lerobot-teleoperate --robot.type=so101_follower ...'
+HEARD_USB = 'usb:/dev/ttyUSB0'
+RUNS = {
+    'healthy': Run(TELEOPERATE),
+    'missing': Run(TELEOPERATE, 'silent:3', MISSING.format(3)),
+    'lost': Run(TELEOPERATE, 'silent:3:4', FAILED),
+    'overload': Run(TELEOPERATE, 'latched:6:2'),
+    'usb': Run(HEARD_USB, 'silent:13:3'),
+}
+
+
+def show(name: str) -> str:
+    """Return the screen of a run by its name, as in a terminal of 80 columns."""
+    run = RUNS[name]
+    examination = Examination(Models())
+    ports, now = dict[str, None](), 0
+    for port, burst in teleoperate(run) if run.source == TELEOPERATE else control(run):
+        side = OUT if burst.sender == MASTER else IN
+        now = burst.start if side == OUT else burst.end
+        examination.take(Chunk(S + now, port, burst.data, side), Wire(port, BAUD))
+        ports[port] = None
+    ending = Ending(bool(run.error), run.error, frozenset(['lerobot']))
+    if run.error:
+        now += TIME_OUT_NS
+        for port in ports:
+            examination.take(Chunk(S + now, port, change=Change(CLOSED, 1)), Wire(port, BAUD))
+    examination.finish(S + now, True, ending.failed)
+    said = verdict(run.source, examination.buses(True), now / S, True, (), [*ports],
+                   ending.trouble())
+    return '\n'.join(line.rstrip() for line in screen(said)) + '\n'
+
+
+def teleoperate(run: Run) -> Iterator[tuple[str, Burst]]:
+    """Yield what two SO-101 and lerobot-teleoperate exchange, by port, until its error."""
+    masters = {port: so101(fault) for port, fault in ((LEADER, ''), (FOLLOWER, run.fault))}
+    now, missing = 0, set[int]()
+    for port, ask, due in questions():
+        if ask.id in missing:
+            continue
+        now = max(now, due)
+        if now > run.seconds * S or (missing and ask.instruction == WRITE):
+            return
+        for _ in range(TRIES if ask.instruction == SYNC_READ else 1):
+            bursts = masters[port].respond(ask, now)
+            yield from ((port, burst) for burst in bursts)
+            now = bursts[-1].end + PAUSE_NS
+            is_whole = len(bursts) > (len(SO101) if ask.instruction == SYNC_READ else 1)
+            if is_whole or ask.instruction in (WRITE, SYNC_WRITE):
+                break
+            now += TIME_OUT_NS
+        if ask.instruction == PING and not is_whole:
+            missing.add(ask.id)
+        if ask.instruction == SYNC_READ and not is_whole:
+            return
+
+
+def so101(fault: str) -> Master:
+    """Return the master of an arm."""
+    devices = make_devices([f'{SO101[0]}-{SO101[-1]}:STS3215'], Models(), BAUD, moving=False,
+                           dialect='feetech')
+    return Master(make_line(devices, BAUD, 'feetech', waits_in_line=False), none,
+                  faults=[parse(fault)] if fault else [])
+
+
+def questions() -> Iterator[tuple[str, Ask, int]]:
+    """Yield the port and each instruction of lerobot-teleoperate, and its earliest time (ns)."""
+    for port in (LEADER, FOLLOWER):
+        for one in SO101:
+            yield port, Ask(one, PING), 0
+            yield port, Ask(one, READ, bytes((3, 0, 2, 0))), 0
+        for one in SO101:
+            for address, value in ((40, 0), (55, 0), (7, 0), (85, 254), (41, 254), (33, 0)):
+                yield port, Ask(one, WRITE, bytes((address, 0, value))), 0
+    for one in SO101:
+        yield FOLLOWER, Ask(one, WRITE, bytes((40, 0, 1))), 0
+    read = Ask(ALL, SYNC_READ, bytes((56, 0, 2, 0, *SO101)))
+    for cycle in range(10**6):
+        goal = (2048 + cycle % 300).to_bytes(2, 'little')
+        yield FOLLOWER, read, 2 * S + cycle * CYCLE_NS
+        yield LEADER, read, 0
+        yield FOLLOWER, Ask(ALL, SYNC_WRITE, bytes((42, 0, 2, 0)) + b''.join(
+            bytes([one]) + goal for one in SO101)), 0
+
+
+def control(run: Run) -> Iterator[tuple[str, Burst]]:
+    """Yield what an OpenMANIPULATOR-X and its ROS 2 controller exchange."""
+    devices = make_devices(['11-15:XM430-W350'], Models(), BAUD)
+    master = Master(make_line(devices, BAUD), PATTERNS['sync'], rate=100,
+                    faults=[parse(run.fault)])
+    return (('ttyUSB0', burst) for burst in master.bursts(round(run.seconds * S)))
+
+
+def with_screens(page: str) -> str:
+    """Return a page with the screens that its marks name."""
+    return re.sub(r'(<!-- screen: (\w+) -->\n```text\n).*?^```',
+                  lambda mark: f'{mark[1]}{show(mark[2])}```', page, flags=re.M | re.S)
