@@ -70,8 +70,8 @@ LINK = {
     'Write time-outs': 'frames discarded after `write_timeout`; a stop followed each',
     'Partial writes': 'the port took part of a frame; not completed, a stop followed',
     'Freezes': 'no activity for 0.2 s or more, or the dead man acted',
-    'Deadman': 'ready, off (parameter), no use (a URL that it cannot write to: WARN), starting '
-               '(for a moment), frozen or lost (its process has ended): both ERROR',
+    'Deadman': 'ready, off (parameter), no use (a URL that it cannot write to: WARN), starting, '
+               'frozen or lost: both ERROR',
     'Bytes from MCU': '',
     'Lines from MCU': '',
     'Garbage from MCU (B)': 'not text; text is logged',
@@ -79,8 +79,7 @@ LINK = {
                                     'refuses most commands to drive',
     'Refused by MCU: insufficient bytes': 'the same: a wrong length',
     'Last error': 'kept after recovery',
-    'MCU version': 'of the [receiver](firmware.md) in the MCU; WARN if it does not fit. This and '
-                   'the next keys are there if the MCU reports',
+    'MCU version': 'this and the next keys are there if the [MCU reports](firmware.md)',
     'MCU state': 'waiting for a first frame, running, or stopped by its watchdog: WARN, for 10 s '
                  'at least',
     'MCU good frames': '',

@@ -3,9 +3,10 @@
 """
 The screens of dxl_doctor that README and docs/ show: simulated arms, in simulated time.
 
-A page has `<!-- screen: NAME -->` above a block; docs/generate.py fills the block. The program of
-the SO-101 asks what lerobot-teleoperate (LeRobot 7427f31) asks, and waits as long; fake_bus with
-such a program on its pty gave the same screens, but for their figures.
+A page has `<!-- screen: NAME -->` above a block, or `<!-- wrong: NAME -->` for its second half;
+docs/generate.py fills the block. The program of the SO-101 asks what lerobot-teleoperate asks
+(LeRobot 7427f31), and waits as long; fake_bus with such a program on its pty gave the same
+screens, but for their figures.
 """
 from __future__ import annotations
 
@@ -152,5 +153,9 @@ def control(run: Run) -> Iterator[tuple[str, Burst]]:
 
 def with_screens(page: str) -> str:
     """Return a page with the screens that its marks name."""
-    return re.sub(r'(<!-- screen: (\w+) -->\n```text\n).*?^```',
-                  lambda mark: f'{mark[1]}{show(mark[2])}```', page, flags=re.M | re.S)
+    def block(mark: re.Match[str]) -> str:
+        whole = show(mark['name'])
+        return f"{mark['head']}{whole[whole.index('Wrong:') * (mark['part'] == 'wrong'):]}```"
+
+    return re.sub(r'(?P<head><!-- (?P<part>screen|wrong): (?P<name>\w+) -->\n```text\n).*?^```',
+                  block, page, flags=re.M | re.S)

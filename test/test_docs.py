@@ -149,7 +149,7 @@ def test_commands_of_lerobot_exist(page):
 @pytest.mark.parametrize('page', ['symptoms', 'so101', 'openmanipulator'])
 def test_findings_that_a_page_names_exist(page):
     text = re.sub(r'^```.*?^```', '', (ROOT / f'docs/{page}.md').read_text(), flags=re.M | re.S)
-    named = {name for name in re.findall(r'`([a-z]+(?:_[a-z]+)+)`', text)}
+    named = set(re.findall(r'`([a-z]+(?:_[a-z]+)+)`', text))
     assert named <= {rule.name for rule in RULES} | TOOLS | {'koch_follower', 'omx_follower'}
 
 
