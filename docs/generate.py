@@ -306,10 +306,9 @@ def errors() -> str:
     """Return the page about error texts, a section for each: search engines find them."""
     return '\n'.join([
         '# Error texts of servo libraries\n', NOTE,
-        'What a program prints when a servo bus fails, and what it means on the wire; '
-        'differs. Causes are [findings](doctor.md), the likeliest first: `dxl_doctor run -- '
-        'COMMAND` listens, and says which it is. `dxl_doctor --explain "TEXT"` finds these '
-        'sections in a terminal.\n', *map(_error, explanations())])
+        'What programs print when a servo bus fails, who prints it, and what it means. Causes are '
+        '[findings](doctor.md), the likeliest first: `dxl_doctor run -- COMMAND` says which. '
+        '`dxl_doctor --explain "TEXT"` prints a section.\n', *map(_error, explanations())])
 
 
 def _error(one: Explanation) -> str:

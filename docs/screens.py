@@ -38,11 +38,11 @@ from servobus.tools.doctor.verdict import verdict
 BAUD = 1_000_000
 S, MS = 1_000_000_000, 1_000_000
 CYCLE_NS = 16_666_667              # 60 Hz
-TIME_OUT_NS = 51 * MS              # of LeRobot's port
-PAUSE_NS = MS                      # of program and USB between two questions
+TIME_OUT_NS = 51 * MS              # LeRobot sets it for its port
+PAUSE_NS = MS                      # what program and USB take between two questions
 PING, READ, WRITE, SYNC_READ, SYNC_WRITE, ALL = 1, 2, 3, 0x82, 0x83, 0xFE
 SO101 = range(1, 7)
-TRIES = 3                          # of the follower's Sync Read: num_read_retries is 2
+TRIES = 3                          # LeRobot reads the follower so often: num_read_retries is 2
 FOLLOWER, LEADER = 'ttyACM0', 'ttyACM1'
 MISSING = "RuntimeError: FeetechMotorsBus motor check failed on port '/dev/ttyACM0': Missing " \
     'motor IDs: - {} (expected model: 777)'
