@@ -10,6 +10,7 @@ screens, but for their figures.
 """
 from __future__ import annotations
 
+from collections.abc import Iterable
 from collections.abc import Iterator
 import re
 from typing import NamedTuple
@@ -26,6 +27,7 @@ from mecarover_fakes.traffic import PATTERNS
 from msg_defs.event import Change
 from msg_defs.event import Chunk
 from msg_defs.event import CLOSED
+from msg_defs.event import GAVE_UP
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from servobus.examination import Examination
@@ -74,52 +76,60 @@ def show(name: str) -> str:
     """Return the screen of a run by its name, as in a terminal of 80 columns."""
     run = RUNS[name]
     examination = Examination(Models())
-    ports, now = dict[str, None](), 0
-    for port, burst in teleoperate(run) if run.source == TELEOPERATE else control(run):
-        side = OUT if burst.sender == MASTER else IN
-        now = burst.start if side == OUT else burst.end
-        examination.take(Chunk(S + now, port, burst.data, side), Wire(port, BAUD))
-        ports[port] = None
+    ports = dict[str, None]()
+    for chunk in teleoperate(run) if run.source == TELEOPERATE else control(run):
+        examination.take(chunk, Wire(chunk.bus, BAUD))
+        ports[chunk.bus] = None
+    now = chunk.stamp
     ending = Ending(bool(run.error), run.error, frozenset(['lerobot']))
-    if run.error:
-        now += TIME_OUT_NS
-        for port in ports:
-            examination.take(Chunk(S + now, port, change=Change(CLOSED, 1)), Wire(port, BAUD))
-    examination.finish(S + now, True, ending.failed)
-    said = verdict(run.source, examination.buses(True), now / S, True, (), [*ports],
+    examination.finish(examination.last, True, ending.failed)
+    said = verdict(run.source, examination.buses(True), now / S - 1, True, (), [*ports],
                    ending.trouble())
     return '\n'.join(line.rstrip() for line in screen(said)) + '\n'
 
 
-def teleoperate(run: Run) -> Iterator[tuple[str, Burst]]:
-    """Yield what two SO-101 and lerobot-teleoperate exchange, by port, until its error."""
+def teleoperate(run: Run) -> Iterator[Chunk]:
+    """Yield what two SO-101 and lerobot-teleoperate exchange, as the tap hears it."""
     masters = {port: so101(fault) for port, fault in ((LEADER, ''), (FOLLOWER, run.fault))}
     now, missing = 0, set[int]()
     for port, ask, due in questions():
         if ask.id in missing:
             continue
         now = max(now, due)
-        if now > run.seconds * S or (missing and ask.instruction == WRITE):
+        if now > run.seconds * S:
             return
+        if missing and ask.instruction == WRITE:
+            break
         for _ in range(TRIES if ask.instruction == SYNC_READ else 1):
             bursts = masters[port].respond(ask, now)
-            yield from ((port, burst) for burst in bursts)
+            yield from chunks(port, bursts)
             now = bursts[-1].end + PAUSE_NS
             is_whole = len(bursts) > (len(SO101) if ask.instruction == SYNC_READ else 1)
             if is_whole or ask.instruction in (WRITE, SYNC_WRITE):
                 break
             now += TIME_OUT_NS
+            yield Chunk(S + now, port, change=Change(GAVE_UP, 0))
         if ask.instruction == PING and not is_whole:
             missing.add(ask.id)
         if ask.instruction == SYNC_READ and not is_whole:
-            return
+            break
+    for port in masters:
+        yield Chunk(S + now, port, change=Change(CLOSED, 1))
+
+
+def chunks(port: str, bursts: Iterable[Burst]) -> Iterator[Chunk]:
+    """Yield bursts as they are written and read."""
+    for burst in bursts:
+        side = OUT if burst.sender == MASTER else IN
+        now = burst.start if side == OUT else burst.end
+        yield Chunk(S + now, port, burst.data, side)
 
 
 def so101(fault: str) -> Master:
     """Return the master of an arm."""
     devices = make_devices([f'{SO101[0]}-{SO101[-1]}:STS3215'], Models(), BAUD, moving=False,
                            dialect='feetech')
-    return Master(make_line(devices, BAUD, 'feetech', waits_in_line=False), none,
+    return Master(make_line(devices, BAUD, 'feetech'), none,
                   faults=[parse(fault)] if fault else [])
 
 
@@ -143,12 +153,12 @@ def questions() -> Iterator[tuple[str, Ask, int]]:
             bytes([one]) + goal for one in SO101)), 0
 
 
-def control(run: Run) -> Iterator[tuple[str, Burst]]:
-    """Yield what an OpenMANIPULATOR-X and its ROS 2 controller exchange."""
+def control(run: Run) -> Iterator[Chunk]:
+    """Return what an OpenMANIPULATOR-X and its ROS 2 controller exchange."""
     devices = make_devices(['11-15:XM430-W350'], Models(), BAUD)
     master = Master(make_line(devices, BAUD), PATTERNS['sync'], rate=100,
                     faults=[parse(run.fault)])
-    return (('ttyUSB0', burst) for burst in master.bursts(round(run.seconds * S)))
+    return chunks('ttyUSB0', master.bursts(round(run.seconds * S)))
 
 
 def with_screens(page: str) -> str:
