@@ -8,6 +8,7 @@ means here.
 """
 from __future__ import annotations
 
+from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Sequence
 from functools import partial
@@ -331,10 +332,11 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
                    for line in lines)
 
 
-PAGES = {'docs/parameters.md': parameters, 'docs/diagnostics.md': diagnostics,
-         'docs/errors.md': errors,
-         **{name: partial(page_with_screens, name)
-            for name in ('README.md', 'docs/so101.md', 'docs/openmanipulator.md')}}
+PAGES: dict[str, Callable[[], str]] = {
+    'docs/parameters.md': parameters, 'docs/diagnostics.md': diagnostics,
+    'docs/errors.md': errors,
+    **{name: partial(page_with_screens, name)
+       for name in ('README.md', 'docs/so101.md', 'docs/openmanipulator.md')}}
 
 
 def main(check: bool) -> int:

@@ -93,28 +93,33 @@ def teleoperate(run: Run) -> Iterator[Chunk]:
     masters = {port: so101(fault) for port, fault in ((LEADER, ''), (FOLLOWER, run.fault))}
     now, missing = 0, set[int]()
     for port, ask, due in questions():
+        if max(now, due) > run.seconds * S or (missing and ask.instruction == WRITE):
+            break
         if ask.id in missing:
             continue
-        now = max(now, due)
-        if now > run.seconds * S:
-            return
-        if missing and ask.instruction == WRITE:
+        found, now, is_answered = exchange(masters[port], port, ask, max(now, due))
+        yield from found
+        if ask.instruction == SYNC_READ and not is_answered:
             break
-        for _ in range(TRIES if ask.instruction == SYNC_READ else 1):
-            bursts = masters[port].respond(ask, now)
-            yield from chunks(port, bursts)
-            now = bursts[-1].end + PAUSE_NS
-            is_whole = len(bursts) > (len(SO101) if ask.instruction == SYNC_READ else 1)
-            if is_whole or ask.instruction in (WRITE, SYNC_WRITE):
-                break
-            now += TIME_OUT_NS
-            yield Chunk(S + now, port, change=Change(GAVE_UP, 0))
-        if ask.instruction == PING and not is_whole:
+        if not is_answered:
             missing.add(ask.id)
-        if ask.instruction == SYNC_READ and not is_whole:
-            break
     for port in masters:
         yield Chunk(S + now, port, change=Change(CLOSED, 1))
+
+
+def exchange(master: Master, port: str, ask: Ask, now: int) -> tuple[list[Chunk], int, bool]:
+    """Return what is heard of a question and its answers, when it is over, and if all came."""
+    answers = {SYNC_READ: len(SO101), SYNC_WRITE: 0}.get(ask.instruction, 1)
+    heard: list[Chunk] = []
+    for _ in range(TRIES if ask.instruction == SYNC_READ else 1):
+        bursts = master.respond(ask, now)
+        heard += chunks(port, bursts)
+        now = bursts[-1].end + PAUSE_NS
+        if len(bursts) > answers:
+            return heard, now, True
+        now += TIME_OUT_NS
+        heard.append(Chunk(S + now, port, change=Change(GAVE_UP, 0)))
+    return heard, now, False
 
 
 def chunks(port: str, bursts: Iterable[Burst]) -> Iterator[Chunk]:
