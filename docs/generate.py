@@ -46,6 +46,7 @@ from vel2d_bridge.link import Link
 from vel2d_bridge.mcu_log import McuLog
 
 ROOT = Path(__file__).resolve().parents[1]
+LIKELIEST_CAUSES = 3               # --explain names all
 NOTE = '<!-- Made from the code by docs/generate.py: edit that, or the code. -->\n'
 
 TOPICS = (
@@ -308,13 +309,13 @@ def errors() -> str:
     return '\n'.join([
         '# Error texts of servo libraries\n', NOTE,
         'What programs print when a servo bus fails, who prints it, and what it means. Causes are '
-        '[findings](doctor.md), the likeliest first: `dxl_doctor run -- COMMAND` says which. '
-        '`dxl_doctor --explain "TEXT"` prints a section.\n', *map(_error, explanations())])
+        '[findings](doctor.md), the likeliest: `dxl_doctor run -- COMMAND` says which. '
+        '`dxl_doctor --explain "TEXT"` prints a section, with all causes.\n', *map(_error, explanations())])
 
 
 def _error(one: Explanation) -> str:
     also = ''.join(f', `{text.replace("{}", "...")}`' for text in one.also)
-    causes = ', '.join(f'`{rule}`' for rule in one.findings)
+    causes = ', '.join(f'`{rule}`' for rule in one.findings[:LIKELIEST_CAUSES])
     parts = [f'## {one.text.replace("{}", "...")}\n', f'{", ".join(one.says)}{also}\n',
              ' '.join(filter(None, [one.means, one.do])) + '\n',
              f'Causes: {causes}\n' if causes else '']
