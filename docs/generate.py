@@ -77,13 +77,11 @@ LINK = {
     'Bytes from MCU': '',
     'Lines from MCU': '',
     'Garbage from MCU (B)': 'not text; text is logged',
-    'Refused by MCU: crc mismatch': 'reported by the MCU; WARN for 10 s, of `commands` too if it '
-                                    'refuses most commands to drive',
+    'Refused by MCU: crc mismatch': 'reported by the MCU; WARN for 10 s',
     'Refused by MCU: insufficient bytes': 'the same: a wrong length',
     'Last error': 'kept after recovery',
     'MCU version': 'this and the next keys are there if the [MCU reports](firmware.md)',
-    'MCU state': 'waiting for a first frame, running, or stopped by its watchdog: WARN, for 10 s '
-                 'at least',
+    'MCU state': 'waiting for a first frame, running, or stopped by its watchdog: WARN',
     'MCU good frames': '',
     'MCU bad frames': 'received damaged',
     'MCU refused frames': 'not finite, or above the limits of the MCU',
@@ -186,12 +184,11 @@ METRICS = {
     'packet_rate': '',
     'error_rate': 'damaged packets',
     'bus_load': 'wire time at 10 bits per byte',
-    'cycle': 'one turn of the fastest loop of the program; it and its parts are known only where '
-             'the source knows who sent what',
-    'cycle_wire': 'bytes on the wire',
-    'cycle_device': 'before answers that came: device, adapter and its latency timer',
-    'cycle_waiting': 'for answers that did not come',
-    'cycle_program': 'all else, without what strace takes',
+    'cycle': 'one turn of the fastest loop of the program; [its parts](dxl_doctor.md#the-screen)',
+    'cycle_wire': '',
+    'cycle_device': '',
+    'cycle_waiting': '',
+    'cycle_program': '',
     'reply_latency': 'end of the instruction to start of the answer',
 }
 
@@ -310,7 +307,8 @@ def errors() -> str:
         '# Error texts of servo libraries\n', NOTE,
         'What programs print when a servo bus fails, who prints it, and what it means. Causes are '
         '[findings](doctor.md), the likeliest: `dxl_doctor run -- COMMAND` says which. '
-        '`dxl_doctor --explain "TEXT"` prints a section, with all causes.\n', *map(_error, explanations())])
+        '`dxl_doctor --explain "TEXT"` prints a section, with all causes.\n',
+        *map(_error, explanations())])
 
 
 def _error(one: Explanation) -> str:
