@@ -312,7 +312,8 @@ def errors() -> str:
 
 
 def _error(one: Explanation) -> str:
-    also = ''.join(f', `{text.replace("{}", "...")}`' for text in one.also)
+    also = ''.join(f', `{text.replace("{}", "...")}`' for text in one.also
+                   if text not in one.text)
     causes = ', '.join(f'`{rule}`' for rule in one.findings[:LIKELIEST_CAUSES])
     parts = [f'## {one.text.replace("{}", "...")}\n', f'{", ".join(one.says)}{also}\n',
              ' '.join(filter(None, [one.means, one.do])) + '\n',
