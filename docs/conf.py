@@ -26,13 +26,15 @@ autodoc_mock_imports = [
     'sensor_msgs', 'statistics_msgs', 'std_msgs', 'std_srvs', 'aiohttp', 'launch', 'launch_ros',
     'ament_index_python']
 autodoc_default_options = {'members': True, 'member-order': 'bysource'}
-autodoc_typehints = 'signature'
+autodoc_typehints = 'description'      # a list of the parameters, each with its type
 autodoc_preserve_defaults = True
 suppress_warnings = ['ref.python']      # annotations name types that two modules have (Verdict)
 
 
 def as_plain_text(app, what, name, obj, options, lines):
     """Show docstrings as they are written: they are plain text, not reStructuredText."""
+    if lines and lines[0].startswith('Alias for field number'):
+        lines[:] = []               # Python says that of each field, and its class what it means
     if lines:
         lines[:] = ['.. plain-text::', '', *(f'   {line}' for line in lines), '']
 

@@ -8,12 +8,15 @@ means here.
 """
 from __future__ import annotations
 
+from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Sequence
+from functools import partial
 from inspect import getdoc
 from pathlib import Path
 import sys
 
+from docs.screens import with_screens
 from dxl_monitor.monitor_settings import PARAMETERS as MONITOR
 from mecarover_serial.parameters import Parameter
 from msg_defs.dxl_packet import encode
@@ -32,6 +35,8 @@ from servobus.status import bus_status
 from servobus.status import device_metrics
 from servobus.status import device_status
 from servobus.status import PortState
+from servobus.tools.doctor.explain import Explanation
+from servobus.tools.doctor.explain import explanations
 from vel2d_bridge.bridge_settings import PARAMETERS as BRIDGE
 from vel2d_bridge.bridge_status import Commands
 from vel2d_bridge.bridge_status import commands_status
@@ -44,6 +49,7 @@ from vel2d_bridge.link import Link
 from vel2d_bridge.mcu_log import McuLog
 
 ROOT = Path(__file__).resolve().parents[1]
+LIKELIEST_CAUSES = 3               # --explain names all
 NOTE = '<!-- Made from the code by docs/generate.py: edit that, or the code. -->\n'
 FINDINGS = '<!-- Made from servobus/doctor/rules/ by docs/generate.py: edit that. -->\n'
 FINDINGS_END = '<!-- End of what is made from the rules. -->\n'
@@ -71,19 +77,16 @@ LINK = {
     'Write time-outs': 'frames discarded after `write_timeout`; a stop followed each',
     'Partial writes': 'the port took part of a frame; not completed, a stop followed',
     'Freezes': 'no activity for 0.2 s or more, or the dead man acted',
-    'Deadman': 'ready, off (parameter), no use (a URL that it cannot write to: WARN), starting '
-               '(for a moment), frozen or lost (its process has ended): both ERROR',
+    'Deadman': 'ready, off (parameter), no use (a URL that it cannot write to: WARN), starting, '
+               'frozen or lost: both ERROR',
     'Bytes from MCU': '',
     'Lines from MCU': '',
     'Garbage from MCU (B)': 'not text; text is logged',
-    'Refused by MCU: crc mismatch': 'reported by the MCU; WARN for 10 s, of `commands` too if it '
-                                    'refuses most commands to drive',
+    'Refused by MCU: crc mismatch': 'reported by the MCU; WARN for 10 s',
     'Refused by MCU: insufficient bytes': 'the same: a wrong length',
     'Last error': 'kept after recovery',
-    'MCU version': 'of the [receiver](firmware.md) in the MCU; WARN if it does not fit. This and '
-                   'the next keys are there if the MCU reports',
-    'MCU state': 'waiting for a first frame, running, or stopped by its watchdog: WARN, for 10 s '
-                 'at least',
+    'MCU version': 'this and the next keys are there if the [MCU reports](firmware.md)',
+    'MCU state': 'waiting for a first frame, running, or stopped by its watchdog: WARN',
     'MCU good frames': '',
     'MCU bad frames': 'received damaged',
     'MCU refused frames': 'not finite, or above the limits of the MCU',
@@ -186,12 +189,11 @@ METRICS = {
     'packet_rate': '',
     'error_rate': 'damaged packets',
     'bus_load': 'wire time at 10 bits per byte',
-    'cycle': 'one turn of the fastest loop of the program; it and its parts are known only where '
-             'the source knows who sent what',
-    'cycle_wire': 'bytes on the wire',
-    'cycle_device': 'before answers that came: device, adapter and its latency timer',
-    'cycle_waiting': 'for answers that did not come',
-    'cycle_program': 'all else, without what strace takes',
+    'cycle': 'one turn of the fastest loop of the program; [its parts](dxl_doctor.md#the-screen)',
+    'cycle_wire': '',
+    'cycle_device': '',
+    'cycle_waiting': '',
+    'cycle_program': '',
     'reply_latency': 'end of the instruction to start of the answer',
 }
 
@@ -304,6 +306,31 @@ def _monitor() -> tuple[list[str], list[str], Sequence[Metric], Sequence[Metric]
     return keys, [key for key, _ in device.values], report.metrics, device_metrics(report)
 
 
+def errors() -> str:
+    """Return the page about error texts, a section for each: search engines find them."""
+    return '\n'.join([
+        '# Error texts of servo libraries\n', NOTE,
+        'What programs print when a servo bus fails, who prints it, and what it means. Causes are '
+        '[findings](doctor.md), the likeliest: `dxl_doctor run -- COMMAND` says which. '
+        '`dxl_doctor --explain "TEXT"` prints a section, with all causes.\n',
+        *map(_error, explanations())])
+
+
+def _error(one: Explanation) -> str:
+    also = ''.join(f', `{text.replace("{}", "...")}`' for text in one.also
+                   if text not in one.text)
+    causes = ', '.join(f'`{rule}`' for rule in one.findings[:LIKELIEST_CAUSES])
+    parts = [f'## {one.text.replace("{}", "...")}\n', f'{", ".join(one.says)}{also}\n',
+             ' '.join(filter(None, [one.means, one.do])) + '\n',
+             f'Causes: {causes}\n' if causes else '']
+    return '\n'.join(filter(None, parts))
+
+
+def page_with_screens(name: str) -> str:
+    """Return a page by hand with its screens up to date."""
+    return with_screens((ROOT / name).read_text())
+
+
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     lines = [head, ['---'] * len(head), *rows]
     return ''.join('| ' + ' | '.join(cell.replace('|', '\\|') for cell in line) + ' |\n'
@@ -325,8 +352,11 @@ def _finding_row(rule: Rule) -> tuple[str, ...]:
     return f'`{rule.name}` {rule.level.name}{subject}', seen, remedy
 
 
-PAGES = {'docs/parameters.md': parameters, 'docs/diagnostics.md': diagnostics,
-         'docs/doctor.md': doctor}
+PAGES: dict[str, Callable[[], str]] = {
+    'docs/parameters.md': parameters, 'docs/diagnostics.md': diagnostics,
+    'docs/errors.md': errors, 'docs/doctor.md': doctor,
+    **{name: partial(page_with_screens, name)
+       for name in ('README.md', 'docs/so101.md', 'docs/openmanipulator.md')}}
 
 
 def main(check: bool) -> int:

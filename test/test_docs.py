@@ -23,6 +23,7 @@ from docs.generate import MONITOR
 from docs.generate import PAGES
 from mecarover_serial import launch_arguments
 from mecarover_serial.launch_arguments import arguments_of
+from servobus.doctor import RULES
 
 ROOT = Path(__file__).parents[1]
 PAGES_BY_HAND = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted(ROOT.glob('docs/*.md'))]
@@ -32,6 +33,13 @@ TOOLS = {path.name for path in (ROOT / 'resource/executables').iterdir()}
 FOREIGN = {'cd', 'git', 'mkdir', 'source', 'rosdep', 'colcon', 'ros2', 'sudo', 'systemctl',
            'journalctl', 'rqt_plot', 'export', 'ssh', 'pip', 'xset', 'python', 'python3', 'jq',
            'docker'}
+
+
+# Its entry points, pyproject.toml of huggingface/lerobot 7427f31.
+LEROBOT = {f'lerobot-{name}' for name in (
+    'calibrate', 'find-cameras', 'find-port', 'record', 'replay', 'setup-motors', 'teleoperate',
+    'eval', 'train', 'train-tokenizer', 'dataset-viz', 'info', 'find-joint-limits',
+    'imgtransform-viz', 'edit-dataset', 'setup-can', 'annotate', 'rollout')}
 
 
 def pages():
@@ -109,8 +117,9 @@ def known_parameters():
 
 @pages()
 def test_own_options_exist(page):
-    """Every --option after one of our tools is in its --help."""
+    """Every --option after one of our tools is in its --help; those after -- are of others."""
     for command in commands(page):
+        command = command.partition(' -- ')[0]
         program = command.removeprefix('ros2 run mecarover_serial ').split()[0]
         if program in TOOLS - {'vel2d_bridge', 'dxl_monitor'} or program.startswith('deploy/'):
             known = help_text(program)
@@ -127,6 +136,19 @@ def help_text(program):
     return done.stdout
 
 
+@pages()
+def test_commands_of_lerobot_exist(page):
+    named = set(re.findall(r'lerobot-[a-z]+(?:-[a-z]+)*\b(?!\.\.)', page.read_text()))
+    assert named <= LEROBOT
+
+
+@pytest.mark.parametrize('page', ['symptoms', 'so101', 'openmanipulator'])
+def test_findings_that_a_page_names_exist(page):
+    text = re.sub(r'^```.*?^```', '', (ROOT / f'docs/{page}.md').read_text(), flags=re.M | re.S)
+    named = set(re.findall(r'`([a-z]+(?:_[a-z]+)+)`', text))
+    assert named <= {rule.name for rule in RULES} | TOOLS | {'koch_follower', 'omx_follower'}
+
+
 def linked(page):
     """Return the pages that a page links to."""
     targets = re.findall(r'\]\(([^)\s#]+\.md)', page.read_text())
@@ -139,7 +161,7 @@ def test_every_page_is_reached_from_the_readme():
         page = waiting.pop()
         reached.add(page)
         waiting |= {other for other in linked(page) if other.exists()} - reached
-    assert set(ROOT.glob('docs/*.md')) - reached == {ROOT / 'docs/index.md'}    # Sphinx's own
+    assert set(ROOT.glob('docs/*.md')) - reached == set()
 
 
 def test_the_readme_names_every_tool():
