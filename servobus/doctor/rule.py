@@ -89,7 +89,7 @@ class Rule:
     needs_model: bool = False
     name: str = ''                 # as in the key finding.<name>
     # From a case to what is found; with `each_device` or `needs_incident` from a case and a
-    # device to what is found of it, or None.
+    # device to what is found of it, or None. Set by the decorator.
     check: Callable[..., Any] = iter
 
     def __call__(self, check: Callable[..., Any]) -> Rule:
