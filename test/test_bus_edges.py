@@ -103,10 +103,10 @@ def test_the_log_keeps_the_last_50_and_the_doctor_the_last_1000_and_256_waits():
 
 def test_what_may_come_with_each_packet_is_kept_once_in_a_while():
     evidence = Evidence()
-    stamps = (0, ev._APART_NS - 1, ev._APART_NS, 2 * ev._APART_NS - 1)
+    stamps = (0, ev._FREQUENT_APART_NS - 1, ev._FREQUENT_APART_NS, 2 * ev._FREQUENT_APART_NS - 1)
     for stamp in stamps:
         evidence.add_frequent(stamp, ev.PROTOCOL_1, 1, ev.Code(2))
-    assert [one.stamp for one in evidence.incidents] == [0, ev._APART_NS]
+    assert [one.stamp for one in evidence.incidents] == [0, ev._FREQUENT_APART_NS]
     assert evidence.counts[ev.PROTOCOL_1] == 4
 
 
