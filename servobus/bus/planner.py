@@ -270,7 +270,8 @@ class Planner:
             self._add_malformed(Instruction.BULK_WRITE, params, stamp)
 
     def _add_malformed(self, code: int, params: bytes, stamp: int) -> None:
-        self._evidence.add_incident(stamp, ev.MALFORMED, BROADCAST, ev.Front(code, len(params)))
+        self._evidence.add_incident(stamp, ev.MALFORMED, BROADCAST,
+                                    ev.Front(code, len(params)))
 
     def _write_all(self, action: Action, address: int, params: bytes, stamp: int) -> None:
         devices = list(self._registry.devices.values())
