@@ -105,10 +105,10 @@ def test_what_may_come_with_each_packet_is_kept_once_in_a_while():
 
 
 @pytest.mark.parametrize(('kind', 'code', 'reason', 'expected', 'side'), [
-    (INSTRUCTION_2, 0, 'crc', (ev.DAMAGED_INSTRUCTION, 7, ev.Front(0, 259)), IN),
-    (IS_STATUS, 9, 'crc', (ev.DAMAGED_STATUS, 7, ev.Front(0x55, 259)), IN),
+    (INSTRUCTION_2, 0, 'crc', (ev.DAMAGED_INSTRUCTION, 7, ev.PacketHeader(0, 259)), IN),
+    (IS_STATUS, 9, 'crc', (ev.DAMAGED_STATUS, 7, ev.PacketHeader(0x55, 259)), IN),
     (INSTRUCTION_2, 2, 'length', (ev.BAD_LENGTH, -1, ev.Length(259)), IN),
-    (INSTRUCTION_2, 2, 'cut', (ev.CUT, -1, ev.Front(2, 259)), IN),
+    (INSTRUCTION_2, 2, 'cut', (ev.CUT, -1, ev.PacketHeader(2, 259)), IN),
     (INSTRUCTION_2, 2, 'crc', (ev.WRONG_PACKET, 7, ev.Code(2)), OUT),
     (EITHER_1, 2, 'open', (ev.OPEN, 7, ev.Code(2)), IN),
 ])

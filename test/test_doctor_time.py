@@ -53,7 +53,7 @@ def waits(count, us, ago_s=0.0, spoilt=False):
 
 
 def damaged(count):
-    return note(ev.DAMAGED_STATUS, ev.Front(0x55, 8), count)
+    return note(ev.DAMAGED_STATUS, ev.PacketHeader(0x55, 8), count)
 
 
 def every(gaps_ms, number=1, code=I.READ):
@@ -276,11 +276,11 @@ def test_questions_that_lost_bits_and_gained_none_are_a_collision(noise, is_one)
 
 
 FRONTS = {
-    'Ping': (asks(I.PING, 3), ev.Front(I.PING, 2)),
-    'Read': (asks(I.READ, 3), ev.Front(0, 7)),
-    'Reg Write': (asks(I.REG_WRITE, 3, size=4), ev.Front(0, 9)),
-    'Fast Sync Read': (asks(I.FAST_SYNC_READ, 1, 2, 3), ev.Front(I.FAST_SYNC_READ, 2)),
-    'Sync Write': (asks(I.SYNC_WRITE, 1, 2, size=4), ev.Front(I.SYNC_WRITE, 16)),
+    'Ping': (asks(I.PING, 3), ev.PacketHeader(I.PING, 2)),
+    'Read': (asks(I.READ, 3), ev.PacketHeader(0, 7)),
+    'Reg Write': (asks(I.REG_WRITE, 3, size=4), ev.PacketHeader(0, 9)),
+    'Fast Sync Read': (asks(I.FAST_SYNC_READ, 1, 2, 3), ev.PacketHeader(I.FAST_SYNC_READ, 2)),
+    'Sync Write': (asks(I.SYNC_WRITE, 1, 2, size=4), ev.PacketHeader(I.SYNC_WRITE, 16)),
 }
 
 
@@ -291,21 +291,22 @@ def test_bits_that_are_lost_from_any_instruction_are_a_collision(name):
     def collides(front, count, others=0, protocol=words.PROTOCOL_2):
         return is_collision(case(cycles=(cycle,), protocol=protocol, notes=[
             *note(ev.DAMAGED_INSTRUCTION, front, count),
-            *note(ev.DAMAGED_INSTRUCTION, ev.Front(0xFF, 0xFFFF), others)]))
+            *note(ev.DAMAGED_INSTRUCTION, ev.PacketHeader(0xFF, 0xFFFF), others)]))
 
     assert collides(front, 3)
     assert collides(front, 3, 7)
     assert not collides(front, 3, 8)
     assert not collides(front, 2)
     assert not collides(front, 3, protocol='Feetech')
-    assert not collides(ev.Front(front.instruction, front.length | 0x100), 3)  # bits were added
+    more_bits = ev.PacketHeader(front.instruction, front.length | 0x100)
+    assert not collides(more_bits, 3)
     whole = {'Ping': 3, 'Read': 7, 'Reg Write': 9, 'Fast Sync Read': 10, 'Sync Write': 17}[name]
-    assert not collides(ev.Front(cycle.instruction, whole), 9)     # a packet as it shall be
+    assert not collides(ev.PacketHeader(cycle.instruction, whole), 9)     # a packet as it shall be
 
 
 # --- two masters -----------------------------------------------------------------------------
 
-CLASHES = note(ev.DAMAGED_INSTRUCTION, ev.Front(0, 2), 3)
+CLASHES = note(ev.DAMAGED_INSTRUCTION, ev.PacketHeader(0, 2), 3)
 
 
 def two_clocks(**parts):
@@ -379,7 +380,7 @@ def test_what_happened_lately_to_a_device_is_counted_from_then_on():
 
 def test_damage_has_gone_on_from_its_first_to_its_last():
     assert case().damage_s == 0.0
-    assert case(notes=note(ev.CUT, ev.Front(2, 7), 5)).damage_s == pytest.approx(1.2)
+    assert case(notes=note(ev.CUT, ev.PacketHeader(2, 7), 5)).damage_s == pytest.approx(1.2)
     assert case(notes=note(ev.BAD_LENGTH, ev.Length(7), 2)).damage == 2
 
 
@@ -409,7 +410,7 @@ def test_a_pause_is_quiet_where_the_master_does_not_often_pause_like_that():
 
 def test_an_incident_is_taken_once_and_forgotten_after_ten_seconds():
     history = History()
-    one, two = note(ev.CUT, ev.Front(2, 7), 2)
+    one, two = note(ev.CUT, ev.PacketHeader(2, 7), 2)
     report = case().report
     assert history.make_case(report._replace(incidents=(one,))).count(ev.CUT) == 1
     assert history.make_case(report._replace(incidents=(one, two))).count(ev.CUT) == 2
@@ -436,14 +437,14 @@ def test_rhythms_are_looked_for_every_three_quarters_of_a_second():
 
 
 def test_a_thousand_incidents_of_a_kind_are_kept():
-    many = tuple(note(ev.CUT, ev.Front(2, 7), 1001, every_ms=1.0))
+    many = tuple(note(ev.CUT, ev.PacketHeader(2, 7), 1001, every_ms=1.0))
     found = History().make_case(case(incidents=many).report)
     assert [one.stamp for one in found.incidents(ev.CUT)] == [one.stamp for one in many[1:]]
 
 
 def test_after_a_reset_the_history_begins_again():
     history = History()
-    [one] = note(ev.CUT, ev.Front(2, 7), 1)
+    [one] = note(ev.CUT, ev.PacketHeader(2, 7), 1)
     counted = case(counters={'Bytes': 5}, incidents=(one,)).report
     assert history.make_case(counted).count(ev.CUT) == 1
     assert history.make_case(counted._replace(incidents=())).count(ev.CUT) == 1

@@ -47,7 +47,7 @@ class Code(NamedTuple):
     instruction: int
 
 
-class Front(NamedTuple):
+class PacketHeader(NamedTuple):
     """The instruction byte and the Length of a packet, as they were read."""
 
     instruction: int
@@ -127,10 +127,10 @@ NOTHING = Nothing()
 
 # --- kinds of incidents, each with what is known of it -----------------------------------------
 
-DAMAGED_STATUS = IncidentKind[Front]('damaged status')
-DAMAGED_INSTRUCTION = IncidentKind[Front]('damaged instruction')
+DAMAGED_STATUS = IncidentKind[PacketHeader]('damaged status')
+DAMAGED_INSTRUCTION = IncidentKind[PacketHeader]('damaged instruction')
 BAD_LENGTH = IncidentKind[Length]('bad length')
-CUT = IncidentKind[Front]('cut')                              # it ends too early
+CUT = IncidentKind[PacketHeader]('cut')                              # it ends too early
 GLITCH = IncidentKind[Nothing]('glitch')                      # counted only: a byte or two ahead
 MISSED = IncidentKind[Unanswered]('missed')                     # the first of a row
 DISCONNECTED = IncidentKind[Count]('disconnected')
@@ -154,7 +154,7 @@ OFFSET_WRITTEN = IncidentKind[Offsets]('offset written')       # Homing Offset o
 REBOOTED = IncidentKind[Nothing]('rebooted')
 ACKS_STOPPED = IncidentKind[Count]('acks stopped')
 UNKNOWN_INSTRUCTION = IncidentKind[Code]('unknown instruction')
-MALFORMED = IncidentKind[Front]('malformed')                  # length: parameter bytes
+MALFORMED = IncidentKind[PacketHeader]('malformed')                  # length: parameter bytes
 BAD_ID = IncidentKind[Written]('bad id')                      # in a status, or in an instruction
 PROTOCOL_1 = IncidentKind[Code]('protocol 1.0')
 ECHO = IncidentKind[Nothing]('echo')                          # counted only: the master's
@@ -243,10 +243,10 @@ class Evidence:
         elif flaw.reason == 'length':
             self.add_incident(stamp, BAD_LENGTH, NO_DEVICE, Length(flaw.length))
         elif flaw.reason == 'cut':
-            self.add_incident(stamp, CUT, NO_DEVICE, Front(code, flaw.length))
+            self.add_incident(stamp, CUT, NO_DEVICE, PacketHeader(code, flaw.length))
         else:
             damaged = DAMAGED_STATUS if kind == IS_STATUS else DAMAGED_INSTRUCTION
-            self.add_incident(stamp, damaged, number, Front(code, flaw.length))
+            self.add_incident(stamp, damaged, number, PacketHeader(code, flaw.length))
 
     def search_noise(self, noise: bytes, fresh: int, stamp: int) -> None:
         """Search for packets of Protocol 1.0 that end in the last `fresh` bytes of noise."""

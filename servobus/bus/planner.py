@@ -170,7 +170,7 @@ class Planner:
         if code not in names:
             oddities.append((ev.UNKNOWN_INSTRUCTION, id, ev.Code(code)))
         if request.malformed:
-            oddities.append((ev.MALFORMED, id, ev.Front(code, len(params))))
+            oddities.append((ev.MALFORMED, id, ev.PacketHeader(code, len(params))))
         if self._registry.is_impossible(id):
             oddities.append((ev.BAD_ID, ev.NO_DEVICE, ev.Written(id)))
             plan = Plan(request, {})
@@ -271,7 +271,7 @@ class Planner:
 
     def _add_malformed(self, code: int, params: bytes, stamp: int) -> None:
         self._evidence.add_incident(stamp, ev.MALFORMED, BROADCAST,
-                                    ev.Front(code, len(params)))
+                                    ev.PacketHeader(code, len(params)))
 
     def _write_all(self, action: Action, address: int, params: bytes, stamp: int) -> None:
         devices = list(self._registry.devices.values())

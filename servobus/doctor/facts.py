@@ -174,26 +174,26 @@ def is_collision(case: Case) -> bool:
     return mixed >= INCIDENTS_MIN and mixed >= LOST_BITS_MIN_SHARE * len(damaged)
 
 
-def _has_lost_bits(front: ev.Front, used: set[ev.Front]) -> bool:
+def _has_lost_bits(front: ev.PacketHeader, used: set[ev.PacketHeader]) -> bool:
     """Tell whether this begins no packet of the master, and is one of its with bits cleared."""
     return front not in used and any(
         front.instruction & ~one.instruction == 0 and front.length & ~one.length == 0
         for one in used)
 
 
-def _front_of(cycle: Cycle) -> ev.Front | None:
+def _front_of(cycle: Cycle) -> ev.PacketHeader | None:
     """Return how the packets of an instruction begin after their ID, None where that varies."""
     code, many = cycle.instruction, len(cycle.ids)
     if code == Instruction.PING:
-        return ev.Front(code, 3)
+        return ev.PacketHeader(code, 3)
     if code == Instruction.READ:
-        return ev.Front(code, 7)
+        return ev.PacketHeader(code, 7)
     if code in SINGLE_WRITES:
-        return ev.Front(code, 5 + cycle.length)
+        return ev.PacketHeader(code, 5 + cycle.length)
     if code in GROUP_READS:
-        return ev.Front(code, 7 + many)
+        return ev.PacketHeader(code, 7 + many)
     if code == Instruction.SYNC_WRITE:
-        return ev.Front(code, 7 + many * (1 + cycle.length))
+        return ev.PacketHeader(code, 7 + many * (1 + cycle.length))
     return None
 
 
