@@ -98,10 +98,12 @@ class Session:
         self._last = chunk.stamp
         self._bytes += len(chunk.data)
         monitor = self._monitors.get(chunk.bus) or self._new_monitor(chunk.bus)
-        monitor.feed_chunks([chunk])
-        if self._recording is not None:
-            with self._naming_the_file():
-                self._recording.record_chunk(chunk, self._monitors)
+        try:
+            monitor.feed_chunks([chunk])
+        finally:                       # the reader of the list may have left: `| head`
+            if self._recording is not None:
+                with self._naming_the_file():
+                    self._recording.record_chunk(chunk, self._monitors)
         if self._source.is_live and self._lists:
             sys.stdout.flush()
 
