@@ -539,6 +539,11 @@ TOO_SMALL = """() => [...document.querySelectorAll(
     .map(([text, kind, box]) => `${text} (${kind}) ${box.width} x ${box.height}`)"""
 
 
+TOO_NARROW = """() => [...document.querySelectorAll('main .devices thead th')]
+    .filter((one) => one.checkVisibility() && one.scrollWidth > one.clientWidth)
+    .map((one) => `${one.textContent}: ${one.clientWidth} px`)"""
+
+
 @pytest.mark.parametrize('size', SIZES)
 def test_every_view_fits_and_fingers_find_their_targets(dashboard, robot, open_page, size):
     robot.lost, robot.warned, robot.findings = {7, 11}, {14}, FINDINGS
@@ -548,6 +553,7 @@ def test_every_view_fits_and_fingers_find_their_targets(dashboard, robot, open_p
         page.locator('main .panel, main .tile').first.wait_for()
         wide = page.evaluate('document.documentElement.scrollWidth - innerWidth')
         assert wide <= 0, f'{view} is {wide} px too wide'
+        assert page.evaluate(TOO_NARROW) == [], view
         if size != 'desktop':
             assert page.evaluate(TOO_SMALL) == [], view
 
