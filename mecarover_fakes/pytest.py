@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from collections.abc import Iterator
+from collections.abc import Sequence
 from contextlib import ExitStack
 from typing import Any
 
@@ -16,6 +17,7 @@ import pytest
 
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_bus import make_line
+from mecarover_fakes.fake_bus import PROTOCOLS
 from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.faults import parse as parse_fault
 from mecarover_fakes.master import Master
@@ -24,6 +26,15 @@ from servobus import Level
 from servobus import listen
 from servobus import Listening
 from servobus import Models
+from servobus import ParameterError
+
+_RAISED = pytest.StashKey[BaseException]()
+
+
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> None:
+    """Keep what a test raised: the last question before that may be the reason."""
+    if call.when == 'call' and call.excinfo is not None:
+        item.stash[_RAISED] = call.excinfo.value
 
 
 @pytest.fixture
@@ -36,7 +47,12 @@ def servo_bus() -> Iterator[Callable[..., FakeBus]]:
     """
     with ExitStack() as stack:
         def start(*devices: str, dialect: str = '2', baud: int = 1_000_000,
-                  faults: tuple[str, ...] = ()) -> FakeBus:
+                  faults: Sequence[str] = ()) -> FakeBus:
+            if dialect not in PROTOCOLS:
+                raise ParameterError(f'dialect: there is no {dialect!r}; '
+                                     f'use one of {", ".join(PROTOCOLS)}')
+            if isinstance(faults, str):
+                raise ParameterError(f'faults: write a list: [{faults!r}]')
             made = make_devices(list(devices), Models(), baud, moving=False, dialect=dialect)
             bus = FakeBus(Master(make_line(made, baud, dialect), PATTERNS['none'],
                                  faults=[parse_fault(text) for text in faults]))
@@ -48,7 +64,7 @@ def servo_bus() -> Iterator[Callable[..., FakeBus]]:
 
 
 @pytest.fixture
-def servo_doctor() -> Iterator[Callable[..., Listening]]:
+def servo_doctor(request: pytest.FixtureRequest) -> Iterator[Callable[..., Listening]]:
     """
     Return a function that listens to a port; the test fails for what it finds at WARN or above.
 
@@ -61,6 +77,8 @@ def servo_doctor() -> Iterator[Callable[..., Listening]]:
             return listening[-1]
 
         yield begin
+        error = request.node.stash.get(_RAISED, None)
+        stack.pop_all().__exit__(type(error) if error else None, error, None)
     wrong = [f'{one.level.name} {one.rule}, '
              f'{"the bus" if one.device is None else f"{one.device:03}"}: {one.message}'
              for bus in listening for one in bus.findings if one.level >= Level.WARN]

@@ -16,6 +16,7 @@ from msg_defs.event import Chunk
 from msg_defs.reports import Level
 from servobus.bus.decoder import DEFAULTS
 from servobus.bus.report import BusReport
+from servobus.doctor.case import Names
 from servobus.doctor.case import OPTIONS
 from servobus.doctor.finding_log import BusSummary
 from servobus.doctor.finding_log import FindingLog
@@ -43,13 +44,15 @@ class Examination:
     """What was heard so far; stamps are monotonic ns."""
 
     def __init__(self, models: Models, devices: Sequence[str] = (),
-                 protocol: str = DEFAULTS.protocol, watchers: Sequence[Watcher] = ()) -> None:
+                 protocol: str = DEFAULTS.protocol, watchers: Sequence[Watcher] = (),
+                 names: Names = OPTIONS) -> None:
         self.bytes = 0
         self.first = self.last = 0             # stamps of chunks; 0: none yet
         self._models = models
         self._watchers = watchers
         self._devices = devices
         self._protocol = protocol
+        self._names = names
         self._monitors: dict[str, Monitor] = {}
         self._logs: dict[str, FindingLog] = {}
         self._due = 0
@@ -71,7 +74,7 @@ class Examination:
     def _begin(self, bus: str, wire: Wire) -> Monitor:
         settings = settings_of(bus, wire, self._devices, self._protocol)
         self._logs[bus] = FindingLog()
-        self._monitors[bus] = Monitor(bus, self._models, settings, names=OPTIONS)
+        self._monitors[bus] = Monitor(bus, self._models, settings, names=self._names)
         return self._monitors[bus]
 
     def pass_time(self, now: int) -> None:

@@ -16,6 +16,7 @@ from threading import RLock
 import time
 from types import TracebackType
 from typing import Any
+from typing import overload
 
 from msg_defs.event import BAUD
 from msg_defs.event import Change
@@ -26,9 +27,15 @@ from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.reports import Level
 from servobus.bus.decoder import DEFAULTS
+from servobus.bus.decoder import PROTOCOLS
 from servobus.bus.expected import parse_all
 from servobus.bus.report import BusReport
+from servobus.bus.report import FAILED
 from servobus.bus.report import Finding
+from servobus.bus.report import RAISED
+from servobus.bus.report import SERVO_LIBRARIES
+from servobus.doctor.case import ARGUMENTS
+from servobus.errors import ParameterError
 from servobus.errors import UsageError
 from servobus.examination import Examination
 from servobus.model.models import Models
@@ -39,6 +46,18 @@ from servobus.sources.opening import open_source
 from servobus.sources.source import Source
 
 OnFinding = Callable[[Finding], object]
+
+
+@overload
+def listen(port: str, *, baud: int | None = None, devices: Sequence[str] = (),
+           protocol: str = DEFAULTS.protocol, models: Models | None = None,
+           on_finding: OnFinding | None = None) -> SourceListening: ...
+
+
+@overload
+def listen(port: Any, *, baud: int | None = None, devices: Sequence[str] = (),
+           protocol: str = DEFAULTS.protocol, models: Models | None = None,
+           on_finding: OnFinding | None = None) -> PortListening: ...
 
 
 def listen(port: Any, *, baud: int | None = None, devices: Sequence[str] = (),
@@ -54,9 +73,15 @@ def listen(port: Any, *, baud: int | None = None, devices: Sequence[str] = (),
     at the end of the block. Raises ParameterError, UsageError, PortError or OSError.
     """
     models = models or Models()
+    if isinstance(devices, str) or not all(isinstance(one, str) for one in devices):
+        raise ParameterError(f"devices: {devices!r} is no list of texts; write ['1-6:STS3215']")
     check_models(parse_all(devices), models)
+    if protocol not in PROTOCOLS:
+        raise ParameterError(f'protocol: {protocol!r} is none; use one of {", ".join(PROTOCOLS)}')
+    if baud is not None and not (isinstance(baud, int) and baud > 0):
+        raise ParameterError(f'baud: {baud!r} is no baud rate; give bit/s, or leave it out')
     calls = _FindingCalls(on_finding)
-    examination = Examination(models, devices, protocol, [calls])
+    examination = Examination(models, devices, protocol, [calls], ARGUMENTS)
     if isinstance(port, str):
         return SourceListening(examination, calls, open_source('servobus', port, baud))
     if not all(hasattr(port, name) for name in ('read', 'write', 'baudrate', 'is_open')):
@@ -159,6 +184,7 @@ class PortListening(Listening):
         super().__init__(examination, calls)
         self._port = port
         self._wire = Wire('', baud or int(port.baudrate), port=str(port.port))
+        self._failed = ''                      # how the block ended (bus/report.py)
         self.serials = set[Any]()              # for tap_pyserial: more ports are not its matter
 
     def __enter__(self) -> PortListening:
@@ -166,9 +192,16 @@ class PortListening(Listening):
         self._stack.enter_context(tap_pyserial.tapped(self._port, self))
         return self
 
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        if isinstance(error, Exception):       # the question before it may be the reason
+            of_library = tap_pyserial.packages_of(error) & SERVO_LIBRARIES
+            self._failed = RAISED if of_library or isinstance(error, OSError) else FAILED
+        super().__exit__(kind, error, trace)
+
     def _finish(self) -> None:
         with self._lock:
-            self._examination.finish(time.monotonic_ns(), is_over=True)
+            self._examination.finish(time.monotonic_ns(), is_over=True, failed=self._failed)
 
     # What the wrappers of tap_pyserial.py call, as they call a Sender.
 

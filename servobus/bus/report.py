@@ -42,6 +42,11 @@ NEW_ID = 'ID '                     # in front of the ID in `moved_to`
 # How a program ended by itself, if not well.
 FAILED = 'failed'                  # with an exit code that is not 0
 RAISED = 'raised'                  # by an exception of its servo library
+# Packages that drive servos; an exception that came through one is about the bus.
+SERVO_LIBRARIES = frozenset((
+    'lerobot', 'dynamixel_sdk', 'scservo_sdk', 'pypot', 'dynio', 'rustypot', 'st3215',
+    'python_st3215', 'vassar_feetech_servo_sdk', 'vassar_feetech', 'serial', 'dynamixel_easy_sdk',
+    'dynamixel_api', 'pyax12', 'feetech_cli'))
 
 
 # Who else uses its port: a program that it started, or itself where it opens the port twice.

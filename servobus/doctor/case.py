@@ -74,6 +74,7 @@ class Names(NamedTuple):
 
 PARAMETERS = Names('`bauds`', '`devices`', '`model_dirs`')
 OPTIONS = Names('-b', '--devices', '--model-dirs')
+ARGUMENTS = Names('`baud`', '`devices`', '`models`')     # of servobus.listen()
 
 
 class TwoClocks(NamedTuple):

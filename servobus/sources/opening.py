@@ -36,6 +36,7 @@ from servobus.sources.usb_source import UsbFile
 HEAD_SIZE = 64
 REPORT = '# dxl_doctor report'         # how a report of dxl_doctor begins
 _HEARS = {
+    'servobus': "dxl_tap arm -- {}, and servobus.listen('tap:arm')",
     'dxl_doctor': 'dxl_doctor run -- {}',
     'dxl_dashboard': 'dxl_dashboard run -- {}',
     'mecarover_status': 'dxl_tap arm -- {}, and mecarover_status tap:arm in another terminal',

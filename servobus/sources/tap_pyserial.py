@@ -245,6 +245,7 @@ def tapped(port: Any, sender: Any) -> Iterator[None]:
     try:
         yield
     finally:
+        _report_unread(sender, port)
         port.__class__ = kind
         port.__dict__.pop(_STATE, None)
 
@@ -302,15 +303,20 @@ def _end(sender: Any) -> None:
     sender.end()
 
 
-def _described(error: Exception) -> dict[str, Any]:
-    """Return an error in words, and the packages that it came through."""
+def packages_of(error: BaseException) -> set[str]:
+    """Return the packages that an exception came through."""
     packages = set()
     trace = error.__traceback__
     while trace is not None:
         packages.add(str(trace.tb_frame.f_globals.get('__name__')).partition('.')[0])
         trace = trace.tb_next
+    return packages
+
+
+def _described(error: Exception) -> dict[str, Any]:
+    """Return an error in words, and the packages that it came through."""
     return {'error': f'{type(error).__name__}: {error}'[:ERROR_TEXT_LIMIT],
-            'packages': sorted(packages), 'python': sys.executable}
+            'packages': sorted(packages_of(error)), 'python': sys.executable}
 
 
 def install(sender: Any) -> None:

@@ -28,6 +28,7 @@ from msg_defs.reports import Level
 from servobus.bus.report import FAILED
 from servobus.bus.report import OWN
 from servobus.bus.report import RAISED
+from servobus.bus.report import SERVO_LIBRARIES
 from servobus.bus.report import STOLE_REPLIES
 from servobus.plain import printable
 from servobus.port.port_users import holders
@@ -45,13 +46,6 @@ from servobus.tools.start_program import STRACE
 
 TICK_S = 0.1
 LAST_RECORDS_WAIT_S = 1.0          # for what the program said last
-# Packages that drive servos; an exception that came through one is about the bus.
-LIBRARIES = frozenset((
-    'lerobot', 'dynamixel_sdk', 'scservo_sdk', 'pypot', 'dynio', 'rustypot', 'st3215',
-    'python_st3215', 'vassar_feetech_servo_sdk', 'vassar_feetech', 'serial', 'dynamixel_easy_sdk',
-    'dynamixel_api', 'pyax12', 'feetech_cli'))
-
-
 CRASHES = {getattr(signal, f'SIG{name}', None) for name in (
     'ILL', 'TRAP', 'ABRT', 'BUS', 'FPE', 'SEGV', 'SYS')}
 TURNS_OF_TWO = 4                   # between two who ask: a parent that hands on has fewer
@@ -83,7 +77,7 @@ class Ending(NamedTuple):
         """Whether it ended by itself with an error that may be of the bus (bus/report.py)."""
         if not self.code or self.was_stopped:
             return ''
-        is_of_library = self.packages & LIBRARIES or any(
+        is_of_library = self.packages & SERVO_LIBRARIES or any(
             not one.is_general for one in explain.find(self.error or '-'))
         return RAISED if is_of_library else FAILED
 
