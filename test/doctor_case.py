@@ -70,8 +70,8 @@ def note(kind, detail, count, number=1, every_ms=300.0, ago_s=0.0):
             for place in reversed(range(count))]
 
 
-def asks(code, *ids, at=132, size=4, asked=30, stamps=(NOW,)):
-    return Cycle(code, ids, at, size, asked, 0, tuple(stamps))
+def asks(code, *ids, at=132, size=4, asked=30, missed=0, stamps=(NOW,)):
+    return Cycle(code, ids, at, size, asked, missed, tuple(stamps))
 
 
 COUNTERS = dict.fromkeys(('Bytes', 'Packet Bytes', 'Packets', 'Instructions', 'Noise Bytes'), 0)

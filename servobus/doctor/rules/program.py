@@ -63,6 +63,9 @@ SENT_MIN_BYTES = 30                # three packets
 SCAN_MIN_PINGS = 15                # broadcast Pings in 10 s: each needs 0.8 s
 SCAN_MIN_SHARE = 0.7               # share of the instructions
 FAST_READS = (Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ)
+GROUP_READS = (Instruction.SYNC_READ, Instruction.BULK_READ)
+GROUP_READS_MIN = 5                # unanswered, and as many other answers: no loss by chance
+MISSED_ALIKE_MIN_SHARE = 0.9       # share of the missed: a bad plug loses all instructions
 HAVE_SYNC_READ = ('STS', 'SMS', 'HLS')
 # Model numbers, and the firmware from which they know fast reads: MX(2.0) never.
 _FAST_SINCE = (((30, 311, 321), 256), (range(1190, 1250), 46), (range(1000, 1400), 45),
@@ -562,6 +565,42 @@ def _answer_single_reads(case: Case, cycle: Cycle) -> bool:
         and not one.model_name.startswith(HAVE_SYNC_READ) for one in members)
 
 
+@Rule(needs_incident=(ev.MISSED,),
+      symptoms={'unanswered group reads'},
+      accounts_for={*SILENCE, 'silent bus', 'absence', 'absence of several', 'slow cycle'})
+def group_read_unanswered(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Answers single instructions all the time, and never one Sync Read or Bulk Read.
+
+    A device waits there for the status of the one before it in the list.
+
+    Do: read it by single Reads; update its firmware, or let it hear the one before it.
+    """
+    missed = Counter(one.detail for one in case.incidents(ev.MISSED, device))
+    [(what, count)] = missed.most_common(1)
+    cycle = next((one for one in case.report.cycles if device.id in one.ids and (
+        one.instruction, one.address) == what and one.missed >= one.asked - 1), None)
+    others = device.window.answers - device.window.pongs
+    if cycle is None or cycle.instruction not in GROUP_READS or _may_come_late(case, device) \
+            or min(count, others) < GROUP_READS_MIN \
+            or count < MISSED_ALIKE_MIN_SHARE * missed.total() \
+            or device.totals.missed < MISSED_ALIKE_MIN_SHARE * cycle.missed:
+        return None
+    name, at = name_of(cycle.instruction), cycle.ids.index(device.id)
+    before = f'{cycle.ids[at - 1]:03}' if at else ''
+    place = f' (it is after {before})' if at else ''
+    remedy = f'let it hear the status of {before}' if at else 'update its firmware'
+    return Claim(f'answers single instructions and never the {name} of {listed(cycle.ids, 3)}'
+                 f'{place}: no plug does that; read it by single Reads, or {remedy}',
+                 {name: cycle.asked, 'other answers in 10 s': others}, covers=cycle.ids[at + 1:])
+
+
+def _may_come_late(case: Case, device: DeviceReport) -> bool:
+    """Tell whether the program may give up, or throw away, answers that do come."""
+    return device.window.spoilt > 0 or case.count(ev.STALE) > 0 or case.count(ev.UNASKED) > 0 \
+        or case.count(ev.THROWN_AWAY) > 0 or case.count(ev.LATE) > 0
+
+
 RULES = (unread_answers, wrong_packets, eeprom_locked, wrong_address, goal_limits, refused,
     impossible_id, master_stopped, scan, models, eeprom_wear, fast_read_unsupported,
-    sync_read_unsupported, unstuffed, no_acks, never_written)
+    sync_read_unsupported, group_read_unanswered, unstuffed, no_acks, never_written)
