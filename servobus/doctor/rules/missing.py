@@ -22,6 +22,8 @@ from servobus.bus.unread import HUNG_WAIT_NS
 from servobus.doctor.case import Case
 from servobus.doctor.case import is_waiting
 from servobus.doctor.case import Sample
+from servobus.doctor.case import SPEED_AT_REST
+from servobus.doctor.case import speed_of
 from servobus.doctor.facts import fatal_late_answer
 from servobus.doctor.facts import fatal_wait
 from servobus.doctor.facts import is_off
@@ -55,6 +57,9 @@ GOAL_FAR_STEPS = 200               # farther than what holds a joint bends
 STOPPED_MIN_S = 1.0                # standing still for so long means something
 STILL_MIN_S = 2.5                  # the same where its torque was not read
 FOLLOW_WINDOW_S = 4.0              # samples of so long show whether it follows
+SPEED_MIN = 10                     # units of Goal Velocity; friction may hold less
+VELOCITY_CONTROL = 1               # a value of Operating Mode (e-Manual; Feetech, STS table)
+TURN_ONSET_S = 1.5                 # by then it turns, however it accelerates
 _MOTION = 'Present Position', 'Torque Enable'
 _OF_THE_MASTER = ", and that the program uses the servos' baud rate, protocol and ID"
 
@@ -473,6 +478,39 @@ def torque_off(case: Case, device: DeviceReport) -> Found | None:
                  rests_on=_MOTION)
 
 
+@Rule(onset_s=TURN_ONSET_S, each_device=True,
+      symptoms={'joint at rest'})
+def wheel_stopped(case: Case, device: DeviceReport) -> Found | None:
+    """
+    A velocity is asked for, and it never turns.
+
+    What holds something after it has turned is a doubt.
+
+    Do: read Velocity Limit, Torque Enable and Operating Mode: a goal beyond the limit is refused.
+    """
+    goal, now, limit, torque, mode, place = map(case.values[device.id].get, (
+        'Goal Velocity', 'Present Velocity', 'Velocity Limit', 'Torque Enable', 'Operating Mode',
+        'Goal Position'))
+    if goal is None or now is None or goal.source != 'w' or now.source != 'r' or device.alert \
+            or now.age_s > STOPPED_MIN_S \
+            or speed_of(goal) < SPEED_MIN or speed_of(now) > SPEED_AT_REST:
+        return None
+    if mode.value.raw != VELOCITY_CONTROL if mode is not None else (
+            'Profile Velocity' not in device.model.by_name     # else it is that of a motion
+            or (place is not None and place.source == 'w')):
+        return None
+    if device.id in case.turned:
+        return Doubt(f'velocity {goal.value.raw} is asked for, and it does not turn any more: '
+                     'blocked, or it holds something', device.id)
+    unread = [name for name, seen in (
+        ('Velocity Limit (a goal beyond it is refused)', limit), ('Torque Enable', torque),
+                                      ('Operating Mode', mode)) if seen is None]
+    remedy = 'its torque is off: write 1 to Torque Enable' if is_off(torque) else \
+        f'read {", ".join(unread)}' if unread else 'check what blocks it, and its supply'
+    return Claim(f'velocity {goal.value.raw} is asked for, and it does not turn: {remedy}',
+                 rests_on=('Present Velocity', 'Goal Velocity'))
+
+
 def _does_not_follow(samples: list[Sample]) -> bool:
     """Tell whether the goal moves and the position does not."""
     samples = samples[1:]
@@ -570,4 +608,4 @@ def missed_answers(case: Case, device: DeviceReport) -> Found | None:
 
 
 RULES = (brown_out, all_silent, broken_cable, sync_read_stops, no_answer, rebooted, torque_off,
-    ping_only, dropout, missed_answers)
+    wheel_stopped, ping_only, dropout, missed_answers)

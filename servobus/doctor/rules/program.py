@@ -43,10 +43,15 @@ from servobus.doctor.symptom import SILENCE
 from servobus.doctor.thresholds import INCIDENTS_MIN
 from servobus.doctor.thresholds import STILL_MAX_STEPS
 from servobus.doctor.thresholds import TURN_STEPS
+from servobus.model.control_table import Field
 from servobus.model.control_table import UNKNOWN
 
 POSITION_CONTROL = 3               # a value of Operating Mode (e-Manual)
 GOALS_BEYOND_MIN = 2               # one may be a slip of a person
+STILL_MIN_REPORTS = 6              # at rest in so many reports: it is not on its way
+WORD = 65_536
+_RATES = 'Velocity', 'Current', 'PWM'
+_POSITION_LIMITS = 'Min Position Limit', 'Max Position Limit'
 EEPROM_WRITES_MIN = 30             # in 10 s: no start-up writes as many
 POLLED_MIN_READS = 20              # from a device that was never written
 POLLED_MIN_S = 3.0                 # by then each is written that will be, and models are known
@@ -237,8 +242,8 @@ def goal_limits(case: Case, device: DeviceReport) -> Found | None:
     """
     Values beyond its limits (Data Limit, in 1.0 angle limit).
 
-    Once is enough where the program ended on it. Also goals that Position Control Mode
-    refuses, or that a Feetech servo holds back.
+    Once is enough where the program ended on it. Also what nothing refuses aloud: goals in a
+    Sync Write, or that a Feetech servo holds back.
 
     Do: limit the goals, or set wider limits.
     """
@@ -251,46 +256,94 @@ def goal_limits(case: Case, device: DeviceReport) -> Found | None:
             return Claim(f'value for {name} refused, beyond its limits: keep goals '
                          'within these, or set wider ones (as Max Position Limit)',
                          {'refused': count})
-    return _goals_beyond(case, device)
+    return _rate_beyond(case, device) or _position_beyond(case, device)
 
 
-def _goals_beyond(case: Case, device: DeviceReport) -> Found | None:
-    """Look for goals that Position Control Mode refuses; nothing answers a Sync Write."""
+def _rate_beyond(case: Case, device: DeviceReport) -> Found | None:
+    """Look for a velocity, current or PWM beyond its limit; nothing answers a Sync Write."""
+    values = case.values[device.id]
+    for name in _RATES if device.model.protocol == '2' else ():
+        goal, limit = values.get(f'Goal {name}'), values.get(f'{name} Limit')
+        if goal is None or limit is None or goal.source != 'w' or not limit.value.raw \
+                or abs(goal.value.raw) <= limit.value.raw \
+                or (limit.source == 'w' and limit.age_s < goal.age_s):     # it was wider then
+            continue
+        most = limit.value.raw
+        return Claim(f'Goal {name} {goal.value.raw} is beyond its {name} Limit of {most}, so it '
+                     f'is refused{_meant(goal.field, goal.value.raw, -most, most)}: send less, '
+                     'or set a wider limit',
+                     rests_on=(f'Goal {name}', f'{name} Limit'))
+    return None
+
+
+def _meant(field: Field, raw: float, low: float, high: float) -> str:
+    """Return what a value that cannot be may have been meant as, as words in brackets."""
+    swapped = field.decode(field.bytes_of(int(raw))[::-1]).raw
+    if low <= swapped <= high:
+        return f' (in the other order of bytes it is {swapped})'
+    is_negative = WORD // 2 <= raw < WORD
+    return f' (as two bytes with sign it is {raw - WORD:.0f})' if is_negative else ''
+
+
+def _position_beyond(case: Case, device: DeviceReport) -> Found | None:
+    """Look for goals beyond the limits, or beyond a turn."""
     goal, mode = map(case.values[device.id].get, ('Goal Position', 'Operating Mode'))
-    if goal is None or goal.source != 'w':
+    is_feetech = device.model.protocol == FEETECH.protocol
+    if goal is None or goal.source != 'w' or (mode is not None and mode.value.raw != (
+            0 if is_feetech else POSITION_CONTROL)):
         return None
-    if device.model.protocol == FEETECH.protocol and (mode is None or not mode.value.raw):
-        return _goals_held_back(case, device)
-    if device.model.protocol != '2' \
-            or round(TURN_STEPS * (goal.field.scale or 0), 2) != 6.28 \
-            or (mode is not None and mode.value.raw != POSITION_CONTROL):
-        return None
+    low, high = (one.value.raw if one is not None else 0 for one in map(
+        case.values[device.id].get, _POSITION_LIMITS))
+    if low < high and (is_feetech or (mode is not None and high - low < TURN_STEPS - 1)):
+        return _goals_held_back(case, device, low, high)
+    if round(TURN_STEPS * (goal.field.scale or 0), 2) != 6.28 or device.model.protocol == '1' \
+            or (is_feetech and _POSITION_LIMITS[0] in case.values[device.id]):
+        return None                            # Feetech: both are 0 where it has none
+    return _goals_beyond_a_turn(case, device, goal.field, mode is not None)
+
+
+def _goals_held_back(case: Case, device: DeviceReport, low: float,
+                     high: float) -> Found | None:
+    """Look for goals beyond limits that were read."""
+    beyond = {one.goal for one in case.samples.get(device.id, ())
+              if one.goal is not None and not low <= one.goal <= high}
+    if not beyond or (len(beyond) < GOALS_BEYOND_MIN and device.window.writes < INCIDENTS_MIN):
+        return None                            # it was sent once
+    farthest = max(beyond, key=lambda goal: abs(2 * goal - low - high))
+    field = device.model.by_name['Goal Position']
+    effect = 'it stops there' if device.model.protocol == FEETECH.protocol else 'it refuses them'
+    return Claim(f'goals beyond its limits of {low} to {high} are sent'
+                 f'{_meant(field, farthest, low, high)}: {effect}; keep goals within them, or '
+                 'set wider ones (Min and Max Position Limit)', {'the farthest': farthest},
+                 rests_on=('Goal Position', *_POSITION_LIMITS))
+
+
+def _goals_beyond_a_turn(case: Case, device: DeviceReport, field: Field,
+                         is_certain: bool) -> Found | None:
+    """Look for goals beyond a turn, where no limits are known and it does not go there."""
     samples = case.samples.get(device.id, ())
     beyond = [one for one in samples if one.goal is not None and not 0 <= one.goal < TURN_STEPS]
     places = [one.position for one in beyond if one.position is not None]
     still = sum(0 <= two < TURN_STEPS and abs(one - two) <= STILL_MAX_STEPS
                 for one, two in pairwise(places))
-    if len(beyond) < GOALS_BEYOND_MIN or (mode is None and (   # in another mode it would go there
-            still < GOALS_BEYOND_MIN or {*places}.issuperset(one.position for one in samples))):
+    is_feetech = device.model.protocol == FEETECH.protocol
+    torque = case.values[device.id].get('Torque Enable')
+    is_at_rest = still >= STILL_MIN_REPORTS and (
+        torque.value.raw == 1 if torque is not None else device.window.writes >= INCIDENTS_MIN)
+    moved_before = still >= GOALS_BEYOND_MIN \
+        and not {*places}.issuperset(one.position for one in samples)
+    # In another mode, or without limits, it would go there.
+    if len(beyond) < GOALS_BEYOND_MIN or not (
+            is_at_rest or moved_before or (is_certain and not is_feetech)):
         return None
-    return Claim(f'goals beyond 0 to {TURN_STEPS - 1} are sent, which Position Control Mode '
-                 'refuses: keep them within, or set Extended Position Control Mode',
-                 {'the last': beyond[-1].goal}, rests_on=('Goal Position', 'Operating Mode'))
-
-
-def _goals_held_back(case: Case, device: DeviceReport) -> Found | None:
-    """Look for goals beyond the limits of a Feetech servo, which it answers as any other."""
-    limits = 'Min Position Limit', 'Max Position Limit'
-    low, high = (one.value.raw if one is not None else 0 for one in map(
-        case.values[device.id].get, limits))
-    beyond = {one.goal for one in case.samples.get(device.id, ())
-              if one.goal is not None and not low <= one.goal <= high}
-    if not low < high or len(beyond) < GOALS_BEYOND_MIN:
-        return None                            # without limits both are 0
-    return Claim(f'goals beyond its limits of {low} to {high} are sent: it stops '
-                 'there; keep goals within them, or set wider ones (Min and Max Position Limit)',
-                 {'the farthest': max(beyond, key=lambda goal: abs(2 * goal - low - high))},
-                 rests_on=('Goal Position', *limits))
+    remedy = 'keep them within, and read Min and Max Position Limit' if is_feetech else \
+        'keep them within, or set Extended Position Control Mode' if is_certain or moved_before \
+        else 'keep them within, and read Operating Mode and Torque Enable'
+    who = 'it does not go to' if is_feetech else 'Position Control Mode refuses'
+    last = beyond[-1].goal or 0.0
+    return Claim(f'goals beyond 0 to {TURN_STEPS - 1} are sent'
+                 f'{_meant(field, last, 0, TURN_STEPS - 1)}, which {who}: {remedy}',
+                 {'the last': last}, rests_on=('Goal Position', 'Operating Mode'))
 
 
 @Rule(needs_incident=(ev.REFUSED,),
