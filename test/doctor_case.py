@@ -180,8 +180,8 @@ def _cycles(ids=(), ago_ns=(0,), every_ms=0, times=1, ago_ms=0.0, apart=0.0, of=
     return [asks(I[parts.pop('asks')], *ids, stamps=[NOW - ago for ago in ago_ns], **parts)]
 
 
-def _waits(us, device=1, times=1, ago_s=0.0, spoilt=False):
-    return [Wait(NOW - int(ago_s * S), us, device, spoilt)] * times
+def _waits(us, device=1, times=1, ago_s=0.0, spoilt=False, asks='READ'):
+    return [Wait(NOW - int(ago_s * S), us, device, spoilt, I[asks])] * times
 
 
 def _sample(ago_s, goal=None, position=None, tick=None, voltage=None):

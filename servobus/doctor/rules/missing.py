@@ -306,9 +306,9 @@ def _claim_left_open(case: Case) -> Claims:
             and case.report.is_over and case.now - last.stamp > HUNG_WAIT_NS:
         hung.append((last.device, (case.now - last.stamp) / NS_PER_S))
     for number, seconds in hung:
-        yield Claim('did not answer the last question, and the program asked nothing more for '
-                    f'{seconds:.0f} s: check its power and cable, and let the program read '
-                    'with a time-out', device=number)
+        yield Claim('did not answer the last question, and the program waits for that without '
+                    f'end ({seconds:.0f} s): let it read with a time-out; if it gets no answer '
+                    'then, check power and cable', device=number)
     for one in case.incidents(ev.LEFT_OPEN):
         yield Doubt(f'the program ended {one.detail.us / 1000:.0f} ms after it asked: '
                     'whether this answers is unknown', device=one.device)

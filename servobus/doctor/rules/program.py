@@ -383,7 +383,7 @@ def master_stopped(case: Case) -> Claims:
     """
     No more instructions after 2.5 s of them or more.
 
-    An advice below 10 s; device states date from then.
+    An advice below 10 s, unless its last question got no answer; device states date from then.
 
     Do: check the program and its cable.
     """
@@ -394,10 +394,14 @@ def master_stopped(case: Case) -> Claims:
     since = (report.asked - case.run_from) / NS_PER_S
     if since < WORKED_MIN_S:
         return                                 # a command, and it is done
-    yield Claim(f'the master stopped after it had asked for {since:.1f} s: check its '
-                'program; device states date from then',
-                {'stopped after (s)': f'{since:.1f}'},
-                Level.OK if case.quiet_s < STOPPED_WARN_S else None)
+    last = case.last_wait
+    if last is not None and (last.is_spoilt or last.instruction == Instruction.PING):
+        last = None
+    what = 'check its program' if last is None else f'{last.device:03} did not answer its last ' \
+        f'{name_of(last.instruction)}: let it read with a time-out'
+    yield Claim(f'the master stopped after it had asked for {since:.1f} s: {what}; device states '
+                'date from then', {'stopped after (s)': f'{since:.1f}'},
+                Level.OK if case.quiet_s < STOPPED_WARN_S and last is None else None)
 
 
 @Rule(subject='bus', level=Level.OK, holds=False,
@@ -587,7 +591,8 @@ def _lacks_fast_reads(device: DeviceReport) -> bool:
 
 @Rule(subject='bus',
       symptoms={'unanswered group reads'},
-      accounts_for={'uneven rhythm', 'missed answers', 'device not served'})
+      accounts_for={'uneven rhythm', 'missed answers', 'device not served',
+                    'unanswered group reads'})
 def sync_read_unsupported(case: Case) -> Claims:
     """
     Nothing answers Sync Reads, other instructions are answered (1.0, Feetech SCS).
