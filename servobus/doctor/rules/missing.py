@@ -282,7 +282,7 @@ def _claim_at_the_end(case: Case) -> Claims:
     lost = [] if fatal is None else [fatal.device]
     absent = [device.id for device in case.report.devices
               if device.last_heard_s is None and device.missed_in_a_row
-              and not device.window.spoilt and (
+              and not device.window.spoilt and not _was_searched_for(case, device) and (
                   fatal is None or fatal.instruction == Instruction.PING or _is_used(device))]
     if case.report.failed == words.RAISED or {*lost} & {*absent}:
         lost += absent                 # it asked all, then complained of those
@@ -318,6 +318,16 @@ def _is_used(device: DeviceReport) -> bool:
     """Tell whether a program asked a device for more than Pings."""
     totals = device.totals
     return bool(totals.reads or totals.writes or totals.data_missed or device.acks_missing)
+
+
+def _was_searched_for(case: Case, device: DeviceReport) -> bool:
+    """Tell whether a program only pinged a device, and went on for long without it."""
+    pinged = max((stamp for cycle in case.report.cycles for stamp in cycle.stamps
+                  if cycle.instruction == Instruction.PING and cycle.ids == (device.id,)),
+                 default=0)
+    return not _is_used(device) and any(
+        sum(stamp > pinged for stamp in cycle.stamps) >= INCIDENTS_MIN
+        for cycle in case.report.cycles if cycle.instruction != Instruction.PING)
 
 
 def _claim_unacknowledged(case: Case) -> Claims:
