@@ -70,8 +70,8 @@ def note(kind, detail, count, number=1, every_ms=300.0, ago_s=0.0):
             for place in reversed(range(count))]
 
 
-def asks(code, *ids, at=132, size=4, asked=30, stamps=(NOW,)):
-    return Cycle(code, ids, at, size, asked, 0, tuple(stamps))
+def asks(code, *ids, at=132, size=4, asked=30, missed=0, stamps=(NOW,)):
+    return Cycle(code, ids, at, size, asked, missed, tuple(stamps))
 
 
 COUNTERS = dict.fromkeys(('Bytes', 'Packet Bytes', 'Packets', 'Instructions', 'Noise Bytes'), 0)
@@ -180,8 +180,8 @@ def _cycles(ids=(), ago_ns=(0,), every_ms=0, times=1, ago_ms=0.0, apart=0.0, of=
     return [asks(I[parts.pop('asks')], *ids, stamps=[NOW - ago for ago in ago_ns], **parts)]
 
 
-def _waits(us, device=1, times=1, ago_s=0.0, spoilt=False):
-    return [Wait(NOW - int(ago_s * S), us, device, spoilt)] * times
+def _waits(us, device=1, times=1, ago_s=0.0, spoilt=False, asks='READ'):
+    return [Wait(NOW - int(ago_s * S), us, device, spoilt, I[asks])] * times
 
 
 def _sample(ago_s, goal=None, position=None, tick=None, voltage=None):

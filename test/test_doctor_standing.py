@@ -64,7 +64,7 @@ def test_the_states_end_with_the_state():
         'sync_read_stops', 'no_answer', 'master_stopped', 'scan', 'no_acks'}
     assert {one.name: one.onset_s for one in RULES if one.onset_s} == {
         'two_masters': 1.0, 'jitter': 3.0, 'damaged_answers': 1.0, 'wrong_supply': 3.0,
-        'cycle_time': 1.0, 'no_acks': 1.0}
+        'cycle_time': 1.0, 'no_acks': 1.0, 'wheel_stopped': 1.5}
 
 
 def test_a_port_that_is_closed_hears_no_master_and_says_nothing_of_it():

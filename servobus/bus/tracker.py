@@ -128,7 +128,7 @@ class Tracker:
             self._add_incident(stamp, ev.SOURCE_LOST, ev.NO_DEVICE, ev.Count(lost))
         self.slots.pop(BROADCAST, None)
         self.unread.close(None if lost or self.pending is NO_PLAN
-                          else self._question([*self.slots.values()]))
+                          else self._question([*self.slots.values()]), stamp)
         self._forget()
         self._state = DOUBTFUL
 

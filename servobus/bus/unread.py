@@ -59,6 +59,7 @@ ADAPTER_DELAY_NS = 17_000_000      # a latency timer of 16 ms, and Return Delay 
 ADAPTER_SPARE_NS, ADAPTER_SLOWDOWN = 5_000_000, 2      # an adapter gets slower by no more
 NO_WAIT_NS = 500_000               # who looks no longer than that did not wait for an answer
 HUNG_WAIT_NS = 2_000_000_000            # a program that waits longer has no time-out
+ACKS_READ_MIN = 10                 # answers to one write: it does not go on without them
 QUESTIONS_KEPT = 16
 ALIVE_MAX_MISSED = 2               # in a row: after more it may be dead
 STALE_MIN_QUESTIONS = 20           # in a row, each while an answer waited
@@ -103,7 +104,7 @@ class UnreadAnswers:
         self._policy = policy
         self.old_until = self.reported_ns = self.discarded = 0
         self._reported_at = 0              # offset of the stream at the last UNREAD
-        self._vain_read_ns = self._purged_ns = 0       # stamps of the last ones
+        self._vain_read_ns = self._purged_ns = self._closed_ns = 0     # stamps of the last ones
         self._stale_questions = 0          # in a row
         self._unsent_ns = -1               # stamp of the question that was not sent
         self._late_ns = -1                 # stamp of the question of which the answer was late
@@ -237,9 +238,10 @@ class UnreadAnswers:
                 and self._has_had_time(self.deferred[0], now, byte_ns):
             self._end_deferred(self.deferred[0], EXPIRED, now)
 
-    def close(self, pending: OpenQuestion | None) -> None:
+    def close(self, pending: OpenQuestion | None, stamp: int) -> None:
         """End all: the port is closed, or events were lost; pending: the question till then."""
         if pending is not None:
+            self._closed_ns = stamp
             self._questions[LAST].clear()
         self._move_all(LOST if pending is None else CLOSED)
         if pending is not None:
@@ -373,17 +375,23 @@ class UnreadAnswers:
         end: when it was heard last; failed: it ended by itself with an error.
         """
         questions = self._questions[LAST]
-        end = max(end, self.reported_ns, self._vain_read_ns)
+        end = max(end, self.reported_ns, self._vain_read_ns, self._closed_ns)
         for question in questions:
             slot, waited = next(iter(question.due), None), end - question.asked
-            if waited > HUNG_WAIT_NS and slot is not None and slot.due is not Due.ACK \
-                    and not self.old_until \
+            if waited > HUNG_WAIT_NS and slot is not None and not self.old_until \
+                    and (slot.due is not Due.ACK or self._reads_acks(question, slot)) \
                     and max(self._vain_read_ns, self._purged_ns) < question.asked:
                 self._evidence.add_incident(end, ev.HUNG, slot.device.number,
                                             ev.Lateness(waited // 1000))
             else:
                 self._judge_open(question, failed, question is questions[-1], byte_ns)
         questions.clear()
+
+    def _reads_acks(self, question: OpenQuestion, slot: Slot) -> bool:
+        """Return whether a program reads the acknowledgements of a write, or nothing waits."""
+        plan = question.plan
+        return bool(slot.device.acks) and (
+            self.reported_ns > question.asked or (plan.asked > ACKS_READ_MIN and not plan.missed))
 
     def _judge_open(self, question: OpenQuestion, failed: bool, is_last: bool,
                     byte_ns: float) -> None:

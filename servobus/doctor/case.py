@@ -40,6 +40,7 @@ from servobus.doctor.rhythm import Rhythm
 from servobus.doctor.rhythm import rhythms
 from servobus.doctor.rhythm import two_timers
 from servobus.doctor.thresholds import GONE_S
+from servobus.doctor.thresholds import STILL_MAX_STEPS
 from servobus.doctor.thresholds import WINDOW_NS
 from servobus.doctor.thresholds import WINDOW_S
 
@@ -51,6 +52,8 @@ PAUSES_KEPT_NS = 60 * NS_PER_S     # so far back pauses of the master are usual 
 GARBLED_MIN_SHARE = 0.5            # share of its missing answers: it speaks, and noise spoils that
 GARBLED_ALL_SHARE = 0.9            # the same where noise may have come in its place
 WEAK_MIN_DAMAGED = 5               # answers in the window; of as many one may have a right sum
+SPEED_AT_REST = 2                  # units of Present Velocity: as much noise has one at rest
+SIGN_BIT = 0x8000
 
 _DAMAGE_KINDS = (ev.DAMAGED_STATUS, ev.DAMAGED_INSTRUCTION, ev.CUT, ev.BAD_LENGTH)
 _SAMPLED = ('Goal Position', 'Present Position', 'Realtime Tick', 'Present Input Voltage')
@@ -129,6 +132,7 @@ class Case:
     damaged_packets: Sequence[DamagedPacket] = ()       # damaged packets that are recognised
     clocks: Sequence[TwoClocks] = ()   # instructions that two loops repeat
     highest: dict[int, float] = field(default_factory=dict)    # V of each device, since the start
+    turned: set[int] = field(default_factory=set)      # devices that were seen turning
 
     @cached_property
     def now(self) -> int:
@@ -276,6 +280,11 @@ def is_waiting(device: DeviceReport) -> bool:
     return device.waiting_behind is not None and device.state != words.CONNECTED
 
 
+def speed_of(seen: Observed) -> float:
+    """Return a velocity without its sign; bit 15 is that where two bytes have one (Feetech)."""
+    return abs(seen.value.raw) % SIGN_BIT if seen.field.size == 2 else abs(seen.value.raw)
+
+
 def _blur_ms(report: BusReport) -> float:
     return next((one.window.p50 for one in report.metrics
                  if one.name == 'time_between_buffers' and one.window is not None), 0.0)
@@ -298,6 +307,7 @@ class History:
         self._rhythms: tuple[int, list[Rhythm]] = (0, [])
         self._steady: set[Key] = set()
         self._highest: dict[int, float] = {}
+        self._turned: set[int] = set()
         self._clocks: dict[Key, TwoClocks] = {}
         self._asked = self._pause = 0  # stamp of the last instruction, and how old it was
         self._run_from = self._overlapped = 0
@@ -329,7 +339,8 @@ class History:
                     damaged_packets=self._recognise_damage(report, before),
                     run_from=self._run_from,
                     has_overlaps=0 < self._overlapped > before,
-                    clocks=[*self._clocks.values()], highest=self._highest)
+                    clocks=[*self._clocks.values()], highest=self._highest,
+                    turned=self._turned)
         self._store_samples(case, before)
         for rhythm in case.rhythms if fresh else ():
             self._repeats.update(
@@ -406,12 +417,18 @@ class History:
     def _store_samples(self, case: Case, before: int) -> None:
         for device in case.report.devices:
             values = case.values[device.id]
+            velocity = values.get('Present Velocity')
+            if velocity is not None and speed_of(velocity) > SPEED_AT_REST:
+                self._turned.add(device.id)
             if 'Present Position' not in values and 'Present Input Voltage' not in values:
                 if device.id in self._samples:     # it restarted, so they say nothing of now
                     del self._samples[device.id]
                 continue
             goal, position, tick, voltage = (values.get(name) for name in _SAMPLED)
             samples = self._samples.setdefault(device.id, deque(maxlen=HISTORY_MAX))
+            if samples and position is not None and samples[-1].position is not None \
+                    and abs(position.value.raw - samples[-1].position) > STILL_MAX_STEPS:
+                self._turned.add(device.id)
             samples.append(Sample(case.now, goal and goal.value.raw,
                                   position and position.value.raw,
                                   tick and tick.value.number, voltage and voltage.value.number))

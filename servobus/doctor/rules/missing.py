@@ -22,6 +22,8 @@ from servobus.bus.unread import HUNG_WAIT_NS
 from servobus.doctor.case import Case
 from servobus.doctor.case import is_waiting
 from servobus.doctor.case import Sample
+from servobus.doctor.case import SPEED_AT_REST
+from servobus.doctor.case import speed_of
 from servobus.doctor.facts import fatal_late_answer
 from servobus.doctor.facts import fatal_wait
 from servobus.doctor.facts import is_off
@@ -55,6 +57,9 @@ GOAL_FAR_STEPS = 200               # farther than what holds a joint bends
 STOPPED_MIN_S = 1.0                # standing still for so long means something
 STILL_MIN_S = 2.5                  # the same where its torque was not read
 FOLLOW_WINDOW_S = 4.0              # samples of so long show whether it follows
+SPEED_MIN = 10                     # units of Goal Velocity; friction may hold less
+VELOCITY_CONTROL = 1               # a value of Operating Mode (e-Manual; Feetech, STS table)
+TURN_ONSET_S = 1.5                 # by then it turns, however it accelerates
 _MOTION = 'Present Position', 'Torque Enable'
 _OF_THE_MASTER = ", and that the program uses the servos' baud rate, protocol and ID"
 
@@ -277,7 +282,7 @@ def _claim_at_the_end(case: Case) -> Claims:
     lost = [] if fatal is None else [fatal.device]
     absent = [device.id for device in case.report.devices
               if device.last_heard_s is None and device.missed_in_a_row
-              and not device.window.spoilt and (
+              and not device.window.spoilt and not _was_searched_for(case, device) and (
                   fatal is None or fatal.instruction == Instruction.PING or _is_used(device))]
     if case.report.failed == words.RAISED or {*lost} & {*absent}:
         lost += absent                 # it asked all, then complained of those
@@ -301,9 +306,9 @@ def _claim_left_open(case: Case) -> Claims:
             and case.report.is_over and case.now - last.stamp > HUNG_WAIT_NS:
         hung.append((last.device, (case.now - last.stamp) / NS_PER_S))
     for number, seconds in hung:
-        yield Claim('did not answer the last question, and the program asked nothing more for '
-                    f'{seconds:.0f} s: check its power and cable, and let the program read '
-                    'with a time-out', device=number)
+        yield Claim('did not answer the last question, and the program waits for that without '
+                    f'end ({seconds:.0f} s): let it read with a time-out; if it gets no answer '
+                    'then, check power and cable', device=number)
     for one in case.incidents(ev.LEFT_OPEN):
         yield Doubt(f'the program ended {one.detail.us / 1000:.0f} ms after it asked: '
                     'whether this answers is unknown', device=one.device)
@@ -313,6 +318,16 @@ def _is_used(device: DeviceReport) -> bool:
     """Tell whether a program asked a device for more than Pings."""
     totals = device.totals
     return bool(totals.reads or totals.writes or totals.data_missed or device.acks_missing)
+
+
+def _was_searched_for(case: Case, device: DeviceReport) -> bool:
+    """Tell whether a program only pinged a device, and went on for long without it."""
+    pinged = max((stamp for cycle in case.report.cycles for stamp in cycle.stamps
+                  if cycle.instruction == Instruction.PING and cycle.ids == (device.id,)),
+                 default=0)
+    return not _is_used(device) and any(
+        sum(stamp > pinged for stamp in cycle.stamps) >= INCIDENTS_MIN
+        for cycle in case.report.cycles if cycle.instruction != Instruction.PING)
 
 
 def _claim_unacknowledged(case: Case) -> Claims:
@@ -473,6 +488,39 @@ def torque_off(case: Case, device: DeviceReport) -> Found | None:
                  rests_on=_MOTION)
 
 
+@Rule(onset_s=TURN_ONSET_S, each_device=True,
+      symptoms={'joint at rest'})
+def wheel_stopped(case: Case, device: DeviceReport) -> Found | None:
+    """
+    A velocity is asked for, and it never turns.
+
+    What holds something after it has turned is a doubt.
+
+    Do: read Velocity Limit, Torque Enable and Operating Mode: a goal beyond the limit is refused.
+    """
+    goal, now, limit, torque, mode, place = map(case.values[device.id].get, (
+        'Goal Velocity', 'Present Velocity', 'Velocity Limit', 'Torque Enable', 'Operating Mode',
+        'Goal Position'))
+    if goal is None or now is None or goal.source != 'w' or now.source != 'r' or device.alert \
+            or now.age_s > STOPPED_MIN_S \
+            or speed_of(goal) < SPEED_MIN or speed_of(now) > SPEED_AT_REST:
+        return None
+    if mode.value.raw != VELOCITY_CONTROL if mode is not None else (
+            'Profile Velocity' not in device.model.by_name     # else it is that of a motion
+            or (place is not None and place.source == 'w')):
+        return None
+    if device.id in case.turned:
+        return Doubt(f'velocity {goal.value.raw} is asked for, and it does not turn any more: '
+                     'blocked, or it holds something', device.id)
+    unread = [name for name, seen in (
+        ('Velocity Limit (a goal beyond it is refused)', limit), ('Torque Enable', torque),
+                                      ('Operating Mode', mode)) if seen is None]
+    remedy = 'its torque is off: write 1 to Torque Enable' if is_off(torque) else \
+        f'read {", ".join(unread)}' if unread else 'check what blocks it, and its supply'
+    return Claim(f'velocity {goal.value.raw} is asked for, and it does not turn: {remedy}',
+                 rests_on=('Present Velocity', 'Goal Velocity'))
+
+
 def _does_not_follow(samples: list[Sample]) -> bool:
     """Tell whether the goal moves and the position does not."""
     samples = samples[1:]
@@ -570,4 +618,4 @@ def missed_answers(case: Case, device: DeviceReport) -> Found | None:
 
 
 RULES = (brown_out, all_silent, broken_cable, sync_read_stops, no_answer, rebooted, torque_off,
-    ping_only, dropout, missed_answers)
+    wheel_stopped, ping_only, dropout, missed_answers)

@@ -43,10 +43,15 @@ from servobus.doctor.symptom import SILENCE
 from servobus.doctor.thresholds import INCIDENTS_MIN
 from servobus.doctor.thresholds import STILL_MAX_STEPS
 from servobus.doctor.thresholds import TURN_STEPS
+from servobus.model.control_table import Field
 from servobus.model.control_table import UNKNOWN
 
 POSITION_CONTROL = 3               # a value of Operating Mode (e-Manual)
 GOALS_BEYOND_MIN = 2               # one may be a slip of a person
+STILL_MIN_REPORTS = 6              # at rest in so many reports: it is not on its way
+WORD = 65_536
+_RATES = 'Velocity', 'Current', 'PWM'
+_POSITION_LIMITS = 'Min Position Limit', 'Max Position Limit'
 EEPROM_WRITES_MIN = 30             # in 10 s: no start-up writes as many
 POLLED_MIN_READS = 20              # from a device that was never written
 POLLED_MIN_S = 3.0                 # by then each is written that will be, and models are known
@@ -63,6 +68,9 @@ SENT_MIN_BYTES = 30                # three packets
 SCAN_MIN_PINGS = 15                # broadcast Pings in 10 s: each needs 0.8 s
 SCAN_MIN_SHARE = 0.7               # share of the instructions
 FAST_READS = (Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ)
+GROUP_READS = (Instruction.SYNC_READ, Instruction.BULK_READ)
+GROUP_READS_MIN = 5                # unanswered, and as many other answers: no loss by chance
+MISSED_ALIKE_MIN_SHARE = 0.9       # share of the missed: a bad plug loses all instructions
 HAVE_SYNC_READ = ('STS', 'SMS', 'HLS')
 # Model numbers, and the firmware from which they know fast reads: MX(2.0) never.
 _FAST_SINCE = (((30, 311, 321), 256), (range(1190, 1250), 46), (range(1000, 1400), 45),
@@ -234,8 +242,8 @@ def goal_limits(case: Case, device: DeviceReport) -> Found | None:
     """
     Values beyond its limits (Data Limit, in 1.0 angle limit).
 
-    Once is enough where the program ended on it. Also goals that Position Control Mode
-    refuses, or that a Feetech servo holds back.
+    Once is enough where the program ended on it. Also what nothing refuses aloud: goals in a
+    Sync Write, or that a Feetech servo holds back.
 
     Do: limit the goals, or set wider limits.
     """
@@ -248,46 +256,94 @@ def goal_limits(case: Case, device: DeviceReport) -> Found | None:
             return Claim(f'value for {name} refused, beyond its limits: keep goals '
                          'within these, or set wider ones (as Max Position Limit)',
                          {'refused': count})
-    return _goals_beyond(case, device)
+    return _rate_beyond(case, device) or _position_beyond(case, device)
 
 
-def _goals_beyond(case: Case, device: DeviceReport) -> Found | None:
-    """Look for goals that Position Control Mode refuses; nothing answers a Sync Write."""
+def _rate_beyond(case: Case, device: DeviceReport) -> Found | None:
+    """Look for a velocity, current or PWM beyond its limit; nothing answers a Sync Write."""
+    values = case.values[device.id]
+    for name in _RATES if device.model.protocol == '2' else ():
+        goal, limit = values.get(f'Goal {name}'), values.get(f'{name} Limit')
+        if goal is None or limit is None or goal.source != 'w' or not limit.value.raw \
+                or abs(goal.value.raw) <= limit.value.raw \
+                or (limit.source == 'w' and limit.age_s < goal.age_s):     # it was wider then
+            continue
+        most = limit.value.raw
+        return Claim(f'Goal {name} {goal.value.raw} is beyond its {name} Limit of {most}, so it '
+                     f'is refused{_meant(goal.field, goal.value.raw, -most, most)}: send less, '
+                     'or set a wider limit',
+                     rests_on=(f'Goal {name}', f'{name} Limit'))
+    return None
+
+
+def _meant(field: Field, raw: float, low: float, high: float) -> str:
+    """Return what a value that cannot be may have been meant as, as words in brackets."""
+    swapped = field.decode(field.bytes_of(int(raw))[::-1]).raw
+    if low <= swapped <= high:
+        return f' (in the other order of bytes it is {swapped})'
+    is_negative = WORD // 2 <= raw < WORD
+    return f' (as two bytes with sign it is {raw - WORD:.0f})' if is_negative else ''
+
+
+def _position_beyond(case: Case, device: DeviceReport) -> Found | None:
+    """Look for goals beyond the limits, or beyond a turn."""
     goal, mode = map(case.values[device.id].get, ('Goal Position', 'Operating Mode'))
-    if goal is None or goal.source != 'w':
+    is_feetech = device.model.protocol == FEETECH.protocol
+    if goal is None or goal.source != 'w' or (mode is not None and mode.value.raw != (
+            0 if is_feetech else POSITION_CONTROL)):
         return None
-    if device.model.protocol == FEETECH.protocol and (mode is None or not mode.value.raw):
-        return _goals_held_back(case, device)
-    if device.model.protocol != '2' \
-            or round(TURN_STEPS * (goal.field.scale or 0), 2) != 6.28 \
-            or (mode is not None and mode.value.raw != POSITION_CONTROL):
-        return None
+    low, high = (one.value.raw if one is not None else 0 for one in map(
+        case.values[device.id].get, _POSITION_LIMITS))
+    if low < high and (is_feetech or (mode is not None and high - low < TURN_STEPS - 1)):
+        return _goals_held_back(case, device, low, high)
+    if round(TURN_STEPS * (goal.field.scale or 0), 2) != 6.28 or device.model.protocol == '1' \
+            or (is_feetech and _POSITION_LIMITS[0] in case.values[device.id]):
+        return None                            # Feetech: both are 0 where it has none
+    return _goals_beyond_a_turn(case, device, goal.field, mode is not None)
+
+
+def _goals_held_back(case: Case, device: DeviceReport, low: float,
+                     high: float) -> Found | None:
+    """Look for goals beyond limits that were read."""
+    beyond = {one.goal for one in case.samples.get(device.id, ())
+              if one.goal is not None and not low <= one.goal <= high}
+    if not beyond or (len(beyond) < GOALS_BEYOND_MIN and device.window.writes < INCIDENTS_MIN):
+        return None                            # it was sent once
+    farthest = max(beyond, key=lambda goal: abs(2 * goal - low - high))
+    field = device.model.by_name['Goal Position']
+    effect = 'it stops there' if device.model.protocol == FEETECH.protocol else 'it refuses them'
+    return Claim(f'goals beyond its limits of {low} to {high} are sent'
+                 f'{_meant(field, farthest, low, high)}: {effect}; keep goals within them, or '
+                 'set wider ones (Min and Max Position Limit)', {'the farthest': farthest},
+                 rests_on=('Goal Position', *_POSITION_LIMITS))
+
+
+def _goals_beyond_a_turn(case: Case, device: DeviceReport, field: Field,
+                         is_certain: bool) -> Found | None:
+    """Look for goals beyond a turn, where no limits are known and it does not go there."""
     samples = case.samples.get(device.id, ())
     beyond = [one for one in samples if one.goal is not None and not 0 <= one.goal < TURN_STEPS]
     places = [one.position for one in beyond if one.position is not None]
     still = sum(0 <= two < TURN_STEPS and abs(one - two) <= STILL_MAX_STEPS
                 for one, two in pairwise(places))
-    if len(beyond) < GOALS_BEYOND_MIN or (mode is None and (   # in another mode it would go there
-            still < GOALS_BEYOND_MIN or {*places}.issuperset(one.position for one in samples))):
+    is_feetech = device.model.protocol == FEETECH.protocol
+    torque = case.values[device.id].get('Torque Enable')
+    is_at_rest = still >= STILL_MIN_REPORTS and (
+        torque.value.raw == 1 if torque is not None else device.window.writes >= INCIDENTS_MIN)
+    moved_before = still >= GOALS_BEYOND_MIN \
+        and not {*places}.issuperset(one.position for one in samples)
+    # In another mode, or without limits, it would go there.
+    if len(beyond) < GOALS_BEYOND_MIN or not (
+            is_at_rest or moved_before or (is_certain and not is_feetech)):
         return None
-    return Claim(f'goals beyond 0 to {TURN_STEPS - 1} are sent, which Position Control Mode '
-                 'refuses: keep them within, or set Extended Position Control Mode',
-                 {'the last': beyond[-1].goal}, rests_on=('Goal Position', 'Operating Mode'))
-
-
-def _goals_held_back(case: Case, device: DeviceReport) -> Found | None:
-    """Look for goals beyond the limits of a Feetech servo, which it answers as any other."""
-    limits = 'Min Position Limit', 'Max Position Limit'
-    low, high = (one.value.raw if one is not None else 0 for one in map(
-        case.values[device.id].get, limits))
-    beyond = {one.goal for one in case.samples.get(device.id, ())
-              if one.goal is not None and not low <= one.goal <= high}
-    if not low < high or len(beyond) < GOALS_BEYOND_MIN:
-        return None                            # without limits both are 0
-    return Claim(f'goals beyond its limits of {low} to {high} are sent: it stops '
-                 'there; keep goals within them, or set wider ones (Min and Max Position Limit)',
-                 {'the farthest': max(beyond, key=lambda goal: abs(2 * goal - low - high))},
-                 rests_on=('Goal Position', *limits))
+    remedy = 'keep them within, and read Min and Max Position Limit' if is_feetech else \
+        'keep them within, or set Extended Position Control Mode' if is_certain or moved_before \
+        else 'keep them within, and read Operating Mode and Torque Enable'
+    who = 'it does not go to' if is_feetech else 'Position Control Mode refuses'
+    last = beyond[-1].goal or 0.0
+    return Claim(f'goals beyond 0 to {TURN_STEPS - 1} are sent'
+                 f'{_meant(field, last, 0, TURN_STEPS - 1)}, which {who}: {remedy}',
+                 {'the last': last}, rests_on=('Goal Position', 'Operating Mode'))
 
 
 @Rule(needs_incident=(ev.REFUSED,),
@@ -327,7 +383,7 @@ def master_stopped(case: Case) -> Claims:
     """
     No more instructions after 2.5 s of them or more.
 
-    An advice below 10 s; device states date from then.
+    An advice below 10 s, unless its last question got no answer; device states date from then.
 
     Do: check the program and its cable.
     """
@@ -338,10 +394,14 @@ def master_stopped(case: Case) -> Claims:
     since = (report.asked - case.run_from) / NS_PER_S
     if since < WORKED_MIN_S:
         return                                 # a command, and it is done
-    yield Claim(f'the master stopped after it had asked for {since:.1f} s: check its '
-                'program; device states date from then',
-                {'stopped after (s)': f'{since:.1f}'},
-                Level.OK if case.quiet_s < STOPPED_WARN_S else None)
+    last = case.last_wait
+    if last is not None and (last.is_spoilt or last.instruction == Instruction.PING):
+        last = None
+    what = 'check its program' if last is None else f'{last.device:03} did not answer its last ' \
+        f'{name_of(last.instruction)}: let it read with a time-out'
+    yield Claim(f'the master stopped after it had asked for {since:.1f} s: {what}; device states '
+                'date from then', {'stopped after (s)': f'{since:.1f}'},
+                Level.OK if case.quiet_s < STOPPED_WARN_S and last is None else None)
 
 
 @Rule(subject='bus', level=Level.OK, holds=False,
@@ -531,7 +591,8 @@ def _lacks_fast_reads(device: DeviceReport) -> bool:
 
 @Rule(subject='bus',
       symptoms={'unanswered group reads'},
-      accounts_for={'uneven rhythm', 'missed answers', 'device not served'})
+      accounts_for={'uneven rhythm', 'missed answers', 'device not served',
+                    'unanswered group reads'})
 def sync_read_unsupported(case: Case) -> Claims:
     """
     Nothing answers Sync Reads, other instructions are answered (1.0, Feetech SCS).
@@ -562,6 +623,42 @@ def _answer_single_reads(case: Case, cycle: Cycle) -> bool:
         and not one.model_name.startswith(HAVE_SYNC_READ) for one in members)
 
 
+@Rule(needs_incident=(ev.MISSED,),
+      symptoms={'unanswered group reads'},
+      accounts_for={*SILENCE, 'silent bus', 'absence', 'absence of several', 'slow cycle'})
+def group_read_unanswered(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Answers single instructions all the time, and never one Sync Read or Bulk Read.
+
+    A device waits there for the status of the one before it in the list.
+
+    Do: read it by single Reads; update its firmware, or let it hear the one before it.
+    """
+    missed = Counter(one.detail for one in case.incidents(ev.MISSED, device))
+    [(what, count)] = missed.most_common(1)
+    cycle = next((one for one in case.report.cycles if device.id in one.ids and (
+        one.instruction, one.address) == what and one.missed >= one.asked - 1), None)
+    others = device.window.answers - device.window.pongs
+    if cycle is None or cycle.instruction not in GROUP_READS or _may_come_late(case, device) \
+            or min(count, others) < GROUP_READS_MIN \
+            or count < MISSED_ALIKE_MIN_SHARE * missed.total() \
+            or device.totals.missed < MISSED_ALIKE_MIN_SHARE * cycle.missed:
+        return None
+    name, at = name_of(cycle.instruction), cycle.ids.index(device.id)
+    before = f'{cycle.ids[at - 1]:03}' if at else ''
+    place = f' (it is after {before})' if at else ''
+    remedy = f'let it hear the status of {before}' if at else 'update its firmware'
+    return Claim(f'answers single instructions and never the {name} of {listed(cycle.ids, 3)}'
+                 f'{place}: no plug does that; read it by single Reads, or {remedy}',
+                 {name: cycle.asked, 'other answers in 10 s': others}, covers=cycle.ids[at + 1:])
+
+
+def _may_come_late(case: Case, device: DeviceReport) -> bool:
+    """Tell whether the program may give up, or throw away, answers that do come."""
+    return device.window.spoilt > 0 or case.count(ev.STALE) > 0 or case.count(ev.UNASKED) > 0 \
+        or case.count(ev.THROWN_AWAY) > 0 or case.count(ev.LATE) > 0
+
+
 RULES = (unread_answers, wrong_packets, eeprom_locked, wrong_address, goal_limits, refused,
     impossible_id, master_stopped, scan, models, eeprom_wear, fast_read_unsupported,
-    sync_read_unsupported, unstuffed, no_acks, never_written)
+    sync_read_unsupported, group_read_unanswered, unstuffed, no_acks, never_written)
