@@ -7,10 +7,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import lru_cache
 
+from msg_defs.dxl1_instruction import DIALECTS
 from msg_defs.dxl1_instruction import FEETECH
 from msg_defs.dxl1_instruction import UNDECIDED
 from msg_defs.dxl1_packet import HEADER as FAMILY_HEADER
+from msg_defs.dxl_instruction import ADAPTER_READ
+from msg_defs.dxl_instruction import Instruction
+from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_instruction import NAMES
+from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import HEADER
 from msg_defs.reports import Level
 from msg_defs.uart import byte_ns
@@ -63,6 +68,8 @@ AFTER_WRITE_S = 0.5                # an acknowledgement and a write to Lock may 
 COMMON_RATES = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
 RATE_MIN_HEADERS = 3
 RATE_MIN_BYTES = 2                 # from a header as it looks: fewer say nothing
+# An answer to one of these shows that power and rate are right.
+_ASKING = {Instruction.PING, Instruction.READ, Instruction.WRITE}
 # What is said of a bus without a packet where the bytes are too few for the rule.
 NO_PACKETS = ('bytes, but no packet: set {bauds} to the rate of the bus, and check that it is a '
               'servo bus and that D+ and D- are not swapped')
@@ -230,6 +237,51 @@ def protocol_1(case: Case) -> Claims:
         remedy = f'set these devices to Protocol {to} if they have it, or give them another bus'
     yield Claim(f'{who}, ID {listed(ids, 4)}, on a bus of {host}: {remedy}',
                 {'packets': case.count(ev.PROTOCOL_1)})
+
+
+@Rule(subject='bus', level=Level.ERROR,
+      symptoms={'unanswered group reads'},
+      accounts_for={*SILENCE, 'silent bus', 'slow cycle', 'no acknowledgements',
+                    'answers to Pings only'})
+def unknown_instruction(case: Case) -> Claims:
+    """
+    An instruction that this protocol has not, as Sync Read 0x84; nothing answers it.
+
+    WARN beside instructions that it has; advice where it is to all devices, and not 0x84.
+
+    Do: use another instruction; in pypot, `use_sync_read=False`.
+    """
+    report = case.report
+    usual = _usual_instructions(report.protocol)
+    strange = [cycle for cycle in report.cycles if usual and cycle.instruction not in usual]
+    asks_usual = len(strange) < len(report.cycles)
+    for cycle in strange:
+        is_of_adapter = cycle.instruction == ADAPTER_READ and report.protocol != words.PROTOCOL_2
+        asked = sum(case.times_asked(one) for one in strange
+                    if one.instruction == cycle.instruction)
+        if asked < (1 if report.failed else INCIDENTS_MIN) or report.kinds.get(
+                ev.READ_BY_ADAPTER if is_of_adapter else ev.UNKNOWN_ANSWERED):
+            continue
+        if not any(device.totals.answers for device in report.devices) and (
+                not report.has_sides or any(one.instruction in _ASKING for one in report.cycles)):
+            return                         # so that power or rate may be the cause
+        what = 'Sync Read 0x84, which only the adapters USB2AX and ArbotiX know: read one ' \
+            'servo after the other (pypot: use_sync_read=False)' \
+            if is_of_adapter else f'{name_of(cycle.instruction)}, which {report.protocol} does ' \
+            'not have: correct the program'
+        yield Claim(f'nothing answers {what}', {'asked': asked},
+                    None if is_of_adapter or not asks_usual
+                    else Level.OK if cycle.ids == (BROADCAST,) else Level.WARN)
+        return
+
+
+@lru_cache(maxsize=8)
+def _usual_instructions(protocol: str) -> frozenset[int]:
+    """Return what servos of these protocols have; Sync Read has a rule of its own."""
+    of_family = [one.entries for one in DIALECTS if one.name in protocol]
+    of_2 = NAMES if words.PROTOCOL_2 in protocol else ()
+    known = {*of_2}.union(*of_family)
+    return frozenset((known | {Instruction.SYNC_READ}) - {ADAPTER_READ} if known else ())
 
 
 @Rule(subject='bus',
@@ -529,5 +581,5 @@ def stray_bytes(case: Case) -> Claims:
                     {}, Level.WARN)
 
 
-RULES = (wrong_baud, overrun, baud_moved, id_moved, protocol_1, echo, duplicate_id,
-    foreign_answers, turnaround, noise, damaged_answers, not_sent, stray_bytes)
+RULES = (wrong_baud, overrun, baud_moved, id_moved, protocol_1, unknown_instruction, echo,
+    duplicate_id, foreign_answers, turnaround, noise, damaged_answers, not_sent, stray_bytes)
