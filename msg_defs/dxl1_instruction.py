@@ -6,15 +6,18 @@ What an instruction of the Protocol 1.0 family asks for, in Dynamixel 1.0 and in
 A dialect is a table: how the parameters of each code are laid out, who answers. The
 parameters of 2.0 say the same with wider addresses; common() puts them into that form, so that
 one tracker follows both. Sources: e-Manual, Protocol 1.0; Feetech, SCS Communication Protocol;
-the SDKs of both makers. No parameters raise an exception.
+the SDKs of both makers; USB2AX and ArbotiX, their firmware. No parameters raise an exception.
 """
 
 from collections.abc import Callable
 from typing import NamedTuple
 
 from msg_defs.dxl1_packet import BROADCAST
+from msg_defs.dxl_instruction import Access
+from msg_defs.dxl_instruction import ADAPTER_READ
 from msg_defs.dxl_instruction import ALERT
 from msg_defs.dxl_instruction import Answers
+from msg_defs.dxl_instruction import Block
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import parse as parse_2
 from msg_defs.dxl_instruction import Request
@@ -22,6 +25,7 @@ from msg_defs.dxl_instruction import RESET_ALL
 from msg_defs.frame import INSTRUCTION_1
 from msg_defs.frame import MALFORMED_1
 
+ADAPTER_IDS = 253, BROADCAST        # USB2AX has an ID of its own, ArbotiX has none
 STATUS_BITS = 0x7F                 # bit 7 of an error byte is always 0: no 0x82, 0x83, 0x92
 
 
@@ -41,6 +45,10 @@ def _address_data(id: int, params: bytes) -> bool:
 def _sync_read(id: int, params: bytes) -> bool:
     """Tell whether they are address, size, IDs."""
     return id == BROADCAST and len(params) > 2 and len(set(params[2:])) == len(params) - 2
+
+
+def _adapter_read(id: int, params: bytes) -> bool:
+    return id in ADAPTER_IDS and _sync_read(BROADCAST, params) and params[1] > 0
 
 
 def _sync_write(id: int, params: bytes) -> bool:
@@ -106,7 +114,8 @@ _FEETECH: dict[int, DialectInstruction] = {         # FEETECH_NAMES has the name
 DYNAMIXEL_1 = Dialect(
     name='Dynamixel 1.0', protocol='1',
     entries={**_COMMON, Instruction.REBOOT: DialectInstruction(_nothing, Answers.ACK),
-             Instruction.BULK_READ: DialectInstruction(_bulk_read, Answers.LISTED)},
+             Instruction.BULK_READ: DialectInstruction(_bulk_read, Answers.LISTED),
+             ADAPTER_READ: DialectInstruction(_adapter_read, Answers.ADAPTER)},
     errors={0: 'input voltage', 1: 'angle limit', 2: 'overheating', 3: 'range', 4: 'checksum',
             5: 'overload', 6: 'instruction'},
     refusals={1: 6, 3: 4, 4: 3, 6: 2},
@@ -158,7 +167,7 @@ def parse(code: int, id: int, params: bytes, dialect: Dialect = UNDECIDED) -> Re
 
 def common(code: int, params: bytes) -> bytes:
     """Return parameters that fit, with addresses and sizes as wide as those of 2.0."""
-    if code in (0x02, 0x82, 0x83):
+    if code in (0x02, 0x82, 0x83, ADAPTER_READ):
         return bytes((params[0], 0, params[1], 0)) + params[2:]
     if code in (0x03, 0x04):
         return params[:1] + b'\0' + params[1:]
@@ -181,11 +190,28 @@ def understood(kind: int, code: int, id: int, params: bytes, dialect: Dialect) -
     entry = dialect.entries.get(code)
     if entry is None or kind == MALFORMED_1:
         return Request(code, id, Answers.NONE, malformed=entry is not None)
+    if entry.answers is Answers.ADAPTER:
+        return parse_2(Instruction.SYNC_READ, BROADCAST, params)._replace(
+            instruction=code, answers=Answers.ADAPTER)
     request = parse_2(code, id, params)
     # A reset of Dynamixel sets the ID to 1, one of Feetech keeps it.
     sets_id = dialect is DYNAMIXEL_1 and code == Instruction.FACTORY_RESET
     return request._replace(answers=_answers(entry, id), malformed=False,
-                         option=RESET_ALL if sets_id else '')
+                            option=RESET_ALL if sets_id else '')
+
+
+def split_adapter_status(data: bytes, accesses: tuple[Access, ...]) -> tuple[Block, ...] | None:
+    """
+    Return what an adapter has read of each device; None if the sizes do not fit.
+
+    It puts FF in place of the data of a device that did not answer: that has no part.
+    """
+    size = accesses[0].length
+    if len(data) != size * len(accesses):
+        return None
+    parts = [data[at:at + size] for at in range(0, len(data), size)]
+    return tuple(Block(access.id, 0, part) for access, part in zip(accesses, parts, strict=True)
+                 if part.strip(b'\xff'))
 
 
 def _answers(entry: DialectInstruction, id: int) -> Answers:

@@ -42,6 +42,9 @@ class Instruction(IntEnum):
 NAMES = {code.value: code.name.replace('_', ' ').title() for code in Instruction}
 
 FEETECH_NAMES = {0x09: 'Parameter Backup', 0x0A: 'Reset', 0x0B: 'Calibrate'}
+# No servo has it: the adapters USB2AX and ArbotiX read each listed servo of Protocol 1.0.
+ADAPTER_READ = 0x84
+_ADAPTER_NAMES = {ADAPTER_READ: 'Sync Read by the adapter'}
 
 ALERT = 0x80
 ERROR_NAMES = {
@@ -71,6 +74,7 @@ class Answers(Enum):
     EVERYBODY = 'each device, in the order of IDs'
     LISTED = 'each listed device, in the order of the list'
     COMBINED = 'the listed devices together, in one status'
+    ADAPTER = 'the adapter, with what it read of each listed device, in one status'
 
 
 class Access(NamedTuple):
@@ -131,7 +135,7 @@ def error_text(error: int) -> str:
 def name_of(instruction: int) -> str:
     """Return 'Sync Read', or 'instruction 0x8B' for what no protocol knows."""
     return (NAMES.get(instruction) or FEETECH_NAMES.get(instruction)
-            or f'instruction 0x{instruction:02X}')
+            or _ADAPTER_NAMES.get(instruction) or f'instruction 0x{instruction:02X}')
 
 
 def parse(instruction: int, id: int, params: bytes) -> Request:

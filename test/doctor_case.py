@@ -177,7 +177,9 @@ def _cycles(ids=(), ago_ns=(0,), every_ms=0, times=1, ago_ms=0.0, apart=0.0, of=
             **parts)]
     if every_ms:
         ago_ns = [round((ago_ms + every_ms * n) * MS) for n in reversed(range(times))]
-    return [asks(I[parts.pop('asks')], *ids, stamps=[NOW - ago for ago in ago_ns], **parts)]
+    code = parts.pop('asks')
+    return [asks(I[code] if isinstance(code, str) else code, *ids,
+                 stamps=[NOW - ago for ago in ago_ns], **parts)]
 
 
 def _waits(us, device=1, times=1, ago_s=0.0, spoilt=False, asks='READ'):

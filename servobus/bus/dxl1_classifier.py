@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 from msg_defs import dxl1_packet
 from msg_defs.dxl1_detector import Detector
+from msg_defs.dxl1_instruction import ADAPTER_IDS
 from msg_defs.dxl1_instruction import common_error
 from msg_defs.dxl1_instruction import fits
 from msg_defs.dxl1_instruction import in_common
@@ -61,7 +62,7 @@ _IS_OPEN = Flaw(OPEN)
 _NOTHING = Request(0, 0xFF, Answers.NONE)
 _SYNC_WRITE = 0x83
 # Who answers these, and how much, their bytes alone tell; a write depends on its device as well.
-_KNOWN_BY_PARAMETERS = (Answers.DATA, Answers.LISTED, Answers.PING)
+_KNOWN_BY_PARAMETERS = (Answers.DATA, Answers.LISTED, Answers.PING, Answers.ADAPTER)
 
 
 class _Waiting(NamedTuple):
@@ -251,7 +252,7 @@ class Dxl1Classifier:
     def _is_echo(self, content: Content, awaited: int | None) -> bool:
         """Return whether what came to the master is an instruction, mostly its own."""
         number, code, params = content
-        if number == BROADCAST or code > STATUS_BITS:
+        if (number == BROADCAST and awaited is None) or code > STATUS_BITS:
             return True
         if content != self._asked or (
                 len(params) == awaited and not self._evidence.counts[ev.ECHO]):
@@ -318,6 +319,8 @@ class Dxl1Classifier:
         device = self._registry.devices.get(request.id)
         if request.answers is Answers.ACK and (device is None or device.acks is not False):
             return {request.id: 0}
+        if request.answers is Answers.ADAPTER:
+            return dict.fromkeys(ADAPTER_IDS, sum(access.length for access in request.accesses))
         return {}
 
     def _store_error(self, number: int, error: int, stamp: int) -> int:

@@ -17,6 +17,7 @@ from typing import Any
 from msg_defs.crc import bare_crc16
 from msg_defs.crc import CRC16_TABLE
 from msg_defs.dxl_instruction import Access
+from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import Request
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import HEADER_CRC
@@ -137,8 +138,9 @@ class Plan:
         self.request = request
         self.slots = slots
         self.first = next((slot.device for slot in slots.values()), None)
-        self.fast_reply = FastReply(request.accesses, slots) if BROADCAST in slots and all(
-            access.id in slots for access in request.accesses) else None
+        self.fast_reply = FastReply(request.accesses, slots) if BROADCAST in slots \
+            and request.answers is not Answers.ADAPTER and all(
+                access.id in slots for access in request.accesses) else None
         self.begin = begin
         self.oddities: tuple[str, ...] = ()
         self.asked = 0
@@ -173,6 +175,8 @@ class Plan:
         """
         if len(due) == 1 and not damaged_ids:
             return 1, due[0].device.number     # the usual case, without a look at all slots
+        if self.request.answers is Answers.ADAPTER:
+            return len(due), due[-1].device.number     # it waits for each of them itself
         waiting, silent = 0, set(due)
         for slot in reversed(self.slots.values()):
             if slot.device.number in damaged_ids:

@@ -90,6 +90,7 @@ class Planner:
             Answers.DATA: self._read_slots,
             Answers.LISTED: self._read_slots,
             Answers.COMBINED: self._read_slots,
+            Answers.ADAPTER: self._read_slots,
             Answers.ACK: self._ack_slots,
         }
 
@@ -161,7 +162,7 @@ class Planner:
         if kind != INSTRUCTION_2:
             names = self._registry.dialect.entries
             self._registry.highest = MAX_ID_1
-            for number in {id, *(access.id for access in request.accesses)} - {BROADCAST}:
+            for number in {request.id, *(access.id for access in request.accesses)} - {BROADCAST}:
                 self._registry.set_device_dialect(self._registry.device(number))
         if code != Instruction.SYNC_WRITE:     # see _find_targets()
             for access in request.accesses:
@@ -171,7 +172,7 @@ class Planner:
             oddities.append((ev.UNKNOWN_INSTRUCTION, id, ev.Code(code)))
         if request.malformed:
             oddities.append((ev.MALFORMED, id, ev.PacketHeader(code, len(params))))
-        if self._registry.is_impossible(id):
+        if self._registry.is_impossible(request.id):
             oddities.append((ev.BAD_ID, ev.NO_DEVICE, ev.Written(id)))
             plan = Plan(request, {})
         else:
@@ -188,6 +189,8 @@ class Planner:
         if request.answers is Answers.COMBINED and slots:
             first = next(iter(slots.values())).device
             slots = {BROADCAST: combined_slot(first), **slots}
+        elif request.answers is Answers.ADAPTER and slots:
+            slots[BROADCAST] = combined_slot(slots[request.accesses[-1].id].device)
         return Plan(request, slots, self._begin_of(request) if is_known else None)
 
     def _ping_slots(self, request: Request) -> list[Slot]:

@@ -87,8 +87,8 @@ class ReplyPolicy:
                                          plan.request.instruction))
         served, behind = plan.served(due, damaged_ids)
         for slot in due[:served]:
-            self._count_missed(plan, slot, now, stamp,
-                               is_spoilt or slot.device.number in damaged_ids)
+            self.count_missed(plan, slot, now, stamp,
+                              is_spoilt or slot.device.number in damaged_ids)
         for slot in due[served:]:
             slot.device.count_not_served(now, stamp, behind)
 
@@ -103,8 +103,8 @@ class ReplyPolicy:
             question.damaged_ids.add(first.number)
             first.counts.garbled += 1
 
-    def _count_missed(self, plan: Plan, slot: Slot, now: int, stamp: int,
-                      is_doubtful: bool) -> None:
+    def count_missed(self, plan: Plan, slot: Slot, now: int, stamp: int,
+                     is_doubtful: bool) -> None:
         """Count an answer that had to come and did not; is_doubtful: damage was in its place."""
         device = slot.device
         plan.missed += 1

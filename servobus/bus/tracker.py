@@ -9,6 +9,8 @@ table (pairing.py). What comes to the master as an instruction is an echo, or an
 Nothing on the wire raises, and nothing here grows with what is on the wire.
 """
 
+from msg_defs.dxl1_instruction import ADAPTER_IDS
+from msg_defs.dxl1_instruction import split_adapter_status
 from msg_defs.dxl_instruction import ALERT
 from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import blocks_in
@@ -188,6 +190,9 @@ class Tracker:
         """Accept an awaited status that is damaged in its context, an error or a return."""
         if number == BROADCAST:
             if self.is_doubtful or not self._accept_whole(error, data, stamp):
+                if self.pending.request.answers is Answers.ADAPTER:
+                    self._accept_adapter_status(data, stamp)
+                    return
                 wire = fast_wire(error, data)
                 self._split_combined(wire + body_crc(wire).to_bytes(2, 'little'), stamp)
         else:
@@ -212,6 +217,22 @@ class Tracker:
                 accept(slot.span, data, stamp, READ)
         self.slots.clear()
         return True
+
+    def _accept_adapter_status(self, data: bytes, stamp: int) -> None:
+        """Accept what an adapter has read of each device; those that it lacks are missed."""
+        self._evidence.counts[ev.READ_BY_ADAPTER] += 1
+        accesses = self.pending.request.accesses
+        blocks = split_adapter_status(data, accesses)
+        if blocks is None:
+            self._add_incident(stamp, ev.WRONG_SIZE, accesses[0].id, ev.Sizes(
+                len(data), sum(access.length for access in accesses)))
+            return
+        for block in blocks:
+            if (slot := self.slots.pop(block.id, None)) is not None:
+                self._accept_answer(slot, 0, block.data, stamp)
+        for slot in filter(self._policy.is_due, self.slots.values()):
+            self._policy.count_missed(self.pending, slot, stamp, stamp, self.is_doubtful)
+        self.slots.clear()
 
     def _accept_answer(self, slot: Slot, error: int, data: bytes, stamp: int) -> None:
         device = slot.device
@@ -265,6 +286,10 @@ class Tracker:
 
     def _process_unasked(self, number: int, error: int, data: bytes, stamp: int) -> None:
         """Accept a status that was not due: a sign of life, no more."""
+        if number in ADAPTER_IDS and self.pending.request.answers is Answers.ADAPTER \
+                and self.slots.pop(BROADCAST, None) is not None:
+            self._accept_adapter_status(data, stamp)
+            return
         if number > self._registry.highest:
             self._add_incident(stamp, ev.BAD_ID, ev.NO_DEVICE, ev.Written(number))
             return
@@ -285,7 +310,7 @@ class Tracker:
             if number in plan.slots:
                 self._add_incident(stamp, ev.ANSWERED_AGAIN, number, ev.Code(request.instruction))
         elif not plan.is_understood and request.id in (number, BROADCAST):
-            pass                   # it may have asked for this answer
+            self._evidence.counts[ev.UNKNOWN_ANSWERED] += 1    # it may have asked for this
         elif (device.owed and device.accept_late_reply(stamp, self.unread.late_reply_ns)) \
                 or (number in self._given_up and number not in plan.slots):
             self._add_extra(number, False, stamp)
@@ -343,7 +368,8 @@ class Tracker:
         """Note a damaged frame; return what happened to the pairing."""
         damage, _ = pairing.TO_MASTER if side == IN else pairing.ON_THE_WIRE
         is_status, number, code, data = frame[2] == IS_STATUS, *frame[3:6]
-        if is_status and number == BROADCAST and BROADCAST in self.slots:
+        if is_status and number == BROADCAST and BROADCAST in self.slots \
+                and self.pending.request.answers is Answers.COMBINED:
             del self.slots[BROADCAST]
             if self._split_combined(data, stamp):    # nothing is damaged: the next one is silent
                 return pairing.BROKE_OFF

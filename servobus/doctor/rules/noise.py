@@ -6,11 +6,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import lru_cache
+import re
 
+from msg_defs.dxl1_instruction import DIALECTS
 from msg_defs.dxl1_instruction import FEETECH
 from msg_defs.dxl1_instruction import UNDECIDED
 from msg_defs.dxl1_packet import HEADER as FAMILY_HEADER
+from msg_defs.dxl_instruction import ADAPTER_READ
+from msg_defs.dxl_instruction import Instruction
+from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_instruction import NAMES
+from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import HEADER
 from msg_defs.reports import Level
 from msg_defs.uart import byte_ns
@@ -37,6 +43,8 @@ from servobus.doctor.symptom import DAMAGE
 from servobus.doctor.symptom import SILENCE
 from servobus.doctor.symptom import TRAFFIC
 from servobus.doctor.thresholds import INCIDENTS_MIN
+from servobus.doctor.thresholds import WINDOW_S
+from servobus.plain import printable
 
 NOISE_MIN_PACKETS = 5              # damaged ones: fewer have no common cause
 NOISE_MIN_SHARE = 0.001            # share of all packets
@@ -60,9 +68,22 @@ WRONG_BAUD_WINDOW_S = 2.0
 LOAD_IMPOSSIBLE_PERCENT = 120.0    # wire time that no bus of this rate has
 BURST_NS = NS_PER_S                # a source may hand over so much wire time late
 AFTER_WRITE_S = 0.5                # an acknowledgement and a write to Lock may follow
+TEXT_MIN_BYTES = 16                # in a row: fewer are printable by chance
+TEXT_MIN_SHARE = 0.7               # share of the noise; bytes at a wrong rate have less
+WORDS_MIN_SHARE = 0.4              # share of a text that is letters and digits; of JSON it is half
+TEXT_SHOWN = 24                    # characters
+BOOT_S = 2.0                       # a board starts when its port is opened, and prints so long
 COMMON_RATES = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
 RATE_MIN_HEADERS = 3
 RATE_MIN_BYTES = 2                 # from a header as it looks: fewer say nothing
+_CHARACTERS = rb'\t\n\r\x20-\x7e'
+# Lines or the beginning of one: words, numbers; bytes by chance are not so long or have no words.
+_TEXT = re.compile(rb'[%b]{%d,}' % (_CHARACTERS, TEXT_MIN_BYTES))
+_OF_WORDS = re.compile(rb'[A-Za-z0-9]')
+_MODEM = re.compile(rb'(?:AT[A-Z0-9+&=?]*[\r\n]+){2}')
+_LOGIN = re.compile(rb'login:|[Pp]assword:|[#$] $')
+# An answer to one of these shows that power and rate are right.
+_ASKING = {Instruction.PING, Instruction.READ, Instruction.WRITE}
 # What is said of a bus without a packet where the bytes are too few for the rule.
 NO_PACKETS = ('bytes, but no packet: set {bauds} to the rate of the bus, and check that it is a '
               'servo bus and that D+ and D- are not swapped')
@@ -138,6 +159,57 @@ def _header_at(ratio: float) -> bytes:
     while all(same < len(look) and look[same] == looks[0][same] for look in looks):
         same += 1
     return looks[0][:same]
+
+
+@Rule(subject='bus', level=Level.ERROR,
+      symptoms={'proof'},
+      accounts_for={*TRAFFIC, 'no packets', 'two protocols'})
+def text(case: Case) -> Claims:
+    """
+    Text in place of packets: of firmware of the board itself, a login prompt, AT commands.
+
+    WARN where the program ended while the board may have started.
+
+    Do: switch the board to pass-through; switch the login prompt off; stop ModemManager.
+    """
+    noise = case.report.noise
+    if not noise or not case.report.is_answered \
+            or any(device.window.answers for device in case.report.devices) \
+            or not (first := first_words(noise)):
+        return
+    since = min(WINDOW_S, case.heard_s - BOOT_S)
+    goes_on = since > 0 and case.increase_of('bytes', since) \
+        - case.increase_of('packet_bytes', since) >= TEXT_MIN_BYTES
+    seen = f'text {"comes back" if case.report.has_sides else "is on the bus"} (`{first}`)'
+    if _MODEM.search(noise):
+        yield Claim(f'{seen}, the commands of a modem: ModemManager or another program uses the '
+                    'port; stop it')
+    elif _LOGIN.search(noise):
+        yield Claim(f'{seen}: a login prompt has the port; switch that off (on Linux: systemctl '
+                    'disable --now serial-getty@PORT)')
+    elif goes_on:
+        yield Claim(f'{seen}: the board runs firmware of its own and passes nothing on to the '
+                    'servos; switch it to pass-through, or use another adapter')
+    elif case.report.failed:
+        yield Claim(f'{seen}, so the board was starting, or passes nothing on: wait 2 s after '
+                    'opening the port; if text still comes, switch the board to pass-through',
+                    {}, Level.WARN)
+    else:
+        yield Doubt(f'{seen} at first: if servos with power do not answer later, the board passes '
+                    'nothing on')
+
+
+@lru_cache(maxsize=1)              # it is asked at each report
+def first_words(noise: bytes) -> str:
+    """Return the first words of a text in the noise, '' where there is none."""
+    found = max(_TEXT.findall(noise), key=len, default=b'')
+    if not found and _MODEM.search(noise):
+        found = noise
+    if len(re.sub(rb'[^%b]' % _CHARACTERS, b'', noise)) < TEXT_MIN_SHARE * len(noise) \
+            or len(_OF_WORDS.findall(found)) < WORDS_MIN_SHARE * len(found):
+        return ''
+    lines = [line.strip() for line in found.decode('ascii', 'replace').splitlines()]
+    return printable(next(filter(None, [*lines[1:], *lines]), ''), TEXT_SHOWN)     # a whole one
 
 
 @Rule(subject='bus',
@@ -230,6 +302,51 @@ def protocol_1(case: Case) -> Claims:
         remedy = f'set these devices to Protocol {to} if they have it, or give them another bus'
     yield Claim(f'{who}, ID {listed(ids, 4)}, on a bus of {host}: {remedy}',
                 {'packets': case.count(ev.PROTOCOL_1)})
+
+
+@Rule(subject='bus', level=Level.ERROR,
+      symptoms={'unanswered group reads'},
+      accounts_for={*SILENCE, 'silent bus', 'slow cycle', 'no acknowledgements',
+                    'answers to Pings only'})
+def unknown_instruction(case: Case) -> Claims:
+    """
+    An instruction that this protocol has not, as Sync Read 0x84; nothing answers it.
+
+    WARN beside instructions that it has; advice where it is to all devices, and not 0x84.
+
+    Do: use another instruction; in pypot, `use_sync_read=False`.
+    """
+    report = case.report
+    usual = _usual_instructions(report.protocol)
+    strange = [cycle for cycle in report.cycles if usual and cycle.instruction not in usual]
+    asks_usual = len(strange) < len(report.cycles)
+    for cycle in strange:
+        is_of_adapter = cycle.instruction == ADAPTER_READ and report.protocol != words.PROTOCOL_2
+        asked = sum(case.times_asked(one) for one in strange
+                    if one.instruction == cycle.instruction)
+        if asked < (1 if report.failed else INCIDENTS_MIN) or report.kinds.get(
+                ev.READ_BY_ADAPTER if is_of_adapter else ev.UNKNOWN_ANSWERED):
+            continue
+        if not any(device.totals.answers for device in report.devices) and (
+                not report.has_sides or any(one.instruction in _ASKING for one in report.cycles)):
+            return                         # so that power or rate may be the cause
+        what = 'Sync Read 0x84, which only the adapters USB2AX and ArbotiX know: read one ' \
+            'servo after the other (pypot: use_sync_read=False)' \
+            if is_of_adapter else f'{name_of(cycle.instruction)}, which {report.protocol} does ' \
+            'not have: correct the program'
+        yield Claim(f'nothing answers {what}', {'asked': asked},
+                    None if is_of_adapter or not asks_usual
+                    else Level.OK if cycle.ids == (BROADCAST,) else Level.WARN)
+        return
+
+
+@lru_cache(maxsize=8)
+def _usual_instructions(protocol: str) -> frozenset[int]:
+    """Return what servos of these protocols have; Sync Read has a rule of its own."""
+    of_family = [one.entries for one in DIALECTS if one.name in protocol]
+    of_2 = NAMES if words.PROTOCOL_2 in protocol else ()
+    known = {*of_2}.union(*of_family)
+    return frozenset((known | {Instruction.SYNC_READ}) - {ADAPTER_READ} if known else ())
 
 
 @Rule(subject='bus',
@@ -529,5 +646,5 @@ def stray_bytes(case: Case) -> Claims:
                     {}, Level.WARN)
 
 
-RULES = (wrong_baud, overrun, baud_moved, id_moved, protocol_1, echo, duplicate_id,
-    foreign_answers, turnaround, noise, damaged_answers, not_sent, stray_bytes)
+RULES = (text, wrong_baud, overrun, baud_moved, id_moved, protocol_1, unknown_instruction, echo,
+    duplicate_id, foreign_answers, turnaround, noise, damaged_answers, not_sent, stray_bytes)

@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from typing import Any
 from typing import NamedTuple
 
+from msg_defs.dxl1_instruction import split_adapter_status
+from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import Block
 from msg_defs.dxl_instruction import Request
 from msg_defs.dxl_instruction import split_combined
@@ -201,6 +203,8 @@ class Listing(BusDecoder):
         else:
             if notes or packet.id not in self.tracker.pending.slots:
                 request = NO_REQUEST
+            elif request.answers is Answers.ADAPTER:
+                blocks = split_adapter_status(packet.params, request.accesses) or ()
             elif packet.id == BROADCAST:
                 wire = fast_wire(packet.error, packet.params)
                 wire += body_crc(wire).to_bytes(_CRC_SIZE, 'little')

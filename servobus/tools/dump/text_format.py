@@ -74,7 +74,7 @@ def request_words(entry: Entry, parts: Sequence[Part]) -> str:
     return request.option or packet.params.hex(' ')
 
 
-_LISTS = (Answers.LISTED, Answers.COMBINED)
+_LISTS = (Answers.LISTED, Answers.COMBINED, Answers.ADAPTER)
 
 
 def answer_words(entry: Entry, parts: Sequence[Part], identity: PingAnswer | None) -> str:
