@@ -42,6 +42,7 @@ NEW_ID = 'ID '                     # in front of the ID in `moved_to`
 # How a program ended by itself, if not well.
 FAILED = 'failed'                  # with an exit code that is not 0
 RAISED = 'raised'                  # by an exception of its servo library
+RATE_REFUSED = 'rate refused'      # by an exception of the driver of its port, as it set a rate
 
 
 # Who else uses its port: a program that it started, or itself where it opens the port twice.
@@ -61,6 +62,7 @@ class Finding(NamedTuple):
     A named cause, from the doctor; device None = the bus; covers: who else suffers from it.
 
     read_at: stamp of the value that it rests on, where that is not read any more; 0 where it is.
+    step: of a doubt about what a user would call broken: what to do to decide between its causes.
     """
 
     rule: str
@@ -70,6 +72,7 @@ class Finding(NamedTuple):
     evidence: tuple[tuple[str, str], ...] = ()
     covers: tuple[int, ...] = ()
     read_at: int = 0
+    step: str = ''
 
 
 D = TypeVar('D')
