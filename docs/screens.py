@@ -170,7 +170,8 @@ def with_screens(page: str) -> str:
     """Return a page with the screens that its marks name."""
     def block(mark: re.Match[str]) -> str:
         whole = show(mark['name'])
-        return f"{mark['head']}{whole[whole.index('Wrong:') * (mark['part'] == 'wrong'):]}```"
+        begin = whole.index('Wrong:') if mark['part'] == 'wrong' else 0
+        return f"{mark['head']}{whole[begin:]}```"
 
     return re.sub(r'(?P<head><!-- (?P<part>screen|wrong): (?P<name>\w+) -->\n```text\n).*?^```',
                   block, page, flags=re.M | re.S)

@@ -47,6 +47,7 @@ SERVO_LIBRARIES = frozenset((
     'lerobot', 'dynamixel_sdk', 'scservo_sdk', 'pypot', 'dynio', 'rustypot', 'st3215',
     'python_st3215', 'vassar_feetech_servo_sdk', 'vassar_feetech', 'serial', 'dynamixel_easy_sdk',
     'dynamixel_api', 'pyax12', 'feetech_cli'))
+RATE_REFUSED = 'rate refused'      # by an exception of the driver of its port, as it set a rate
 
 
 # Who else uses its port: a program that it started, or itself where it opens the port twice.
@@ -66,6 +67,7 @@ class Finding(NamedTuple):
     A named cause, from the doctor; device None = the bus; covers: who else suffers from it.
 
     read_at: stamp of the value that it rests on, where that is not read any more; 0 where it is.
+    step: of a doubt about what a user would call broken: what to do to decide between its causes.
     """
 
     rule: str
@@ -75,6 +77,7 @@ class Finding(NamedTuple):
     evidence: tuple[tuple[str, str], ...] = ()
     covers: tuple[int, ...] = ()
     read_at: int = 0
+    step: str = ''
 
 
 D = TypeVar('D')

@@ -80,7 +80,8 @@ class Doctor:
                         self._standing[key] = standing_claim(case, rule, found,
                                                       self._standing.get(key))
                 else:
-                    doubts.append(Finding(rule.name, Level.OK, found.device, found.reason))
+                    doubts.append(Finding(rule.name, Level.OK, found.device, found.reason,
+                                          step=found.step))
         self._since = since
         self._standing = {
             key: lasting for key, one in self._standing.items()

@@ -26,6 +26,8 @@ from servobus.doctor.symptom import Symptom
 
 ANSWER = 'answer'                  # for `rests_on`: the last answer to any instruction
 FAMILY_1 = ('1', 'feetech')        # as model files call the protocols of the 1.0 family
+PORT = 'PORT'                      # in a step: the port, whose name the reader of a report has
+STOP_OTHERS = f'stop all other programs (`fuser -v {PORT}`) and listen again'
 
 
 class Claim(NamedTuple):
@@ -52,10 +54,16 @@ class Claim(NamedTuple):
 
 
 class Doubt(NamedTuple):
-    """Something is wrong or unknown, and the evidence does not say what."""
+    """
+    Something is wrong or unknown, and the evidence does not say what.
+
+    step: what decides between the causes in the reason, where a user would call it broken. Without
+    one it is a lack of information, which changes no exit code.
+    """
 
     reason: str
     device: int | None = None
+    step: str = ''
 
 
 _PERCENT = (0.2, 0.5, 1, 2, 5, 10, 20, 50, 100)

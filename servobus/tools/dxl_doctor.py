@@ -70,7 +70,8 @@ EXAMPLES = """examples:
   dxl_doctor bus.txt                            a recording of dxl_dump -w bus.txt
   dxl_doctor --report bus_report.txt run -- python my_script.py
   dxl_doctor --explain "There is no status packet!"
-exit codes: 0 no problem, 1 could not run or nothing heard, 2 usage, 3 warning, 4 error"""
+exit codes: 0 no problem, 1 could not run or nothing heard, 2 usage,
+3 warning or not sure, 4 error"""
 
 
 def main() -> int:

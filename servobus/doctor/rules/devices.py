@@ -199,7 +199,8 @@ def voltage(case: Case) -> Claims:
         yield Doubt(f'{listed(unknown, 3)}: voltage limits never read')
     if pinged:
         yield Doubt(f'{listed(pinged, 3)}: what answers the Pings is the same as the Pings: '
-                    'an echo of the adapter, or a voltage error; read a register')
+                    'an echo of the adapter, or a voltage error', step='let the program read a '
+                    'register: an echo is the same as that instruction, an answer is not')
 
 
 def _supply_claim(device: DeviceReport, volts: float, is_beyond: bool, where: str) -> Claim:

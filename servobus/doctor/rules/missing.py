@@ -51,6 +51,7 @@ TICK_TURN_S, TICK_SLACK_S = 32.768, 0.5        # Realtime Tick begins at 0 again
 MISSED_MIN_SHARE = 0.01            # share of its answers; fewer are lost on a healthy bus too
 LATE_MIN_SHARE = 0.1               # share of its answers; fewer are late by chance
 ADAPTER_HOLD_US = 20_000           # so long an adapter may hold an answer back (latency timer)
+LONG_WAIT_MS = 50                  # a time-out that no sound servo and adapter needs
 ACKS_MISSED_LIMIT = 4              # as `missed_limit`
 GOAL_MOVES_STEPS = 20              # a goal that changes less may be held by friction
 GOAL_FAR_STEPS = 200               # farther than what holds a joint bends
@@ -236,8 +237,10 @@ def _claim_silent(case: Case, blocking: bool) -> Claims:
         after = [device.id for device in case.report.devices
                   if device.waiting_behind == number and is_waiting(device)]
         if hurries:
-            yield from [] if blocking else [Doubt('no answer in time, and others are late: raise '
-                                                  'the time-out, or check power and ID', number)]
+            yield from [] if blocking else [Doubt(
+                'no answer in time, and others are late: raise the time-out, or check power and '
+                'ID', number, f'let the program wait {LONG_WAIT_MS} ms for {number:03}: if it '
+                'answers then, its time-out was too short')]
         elif bool(after) is blocking:
             yield _claim_blocking(case, number, after) if after else _claim_gone(case, number)
 
@@ -278,7 +281,8 @@ def _claim_at_the_end(case: Case) -> Claims:
     if case.report.failed and fatal is None and last is not None and not last.is_spoilt:
         yield Doubt('the last question got no answer; whether the program ended for '
                     'that is unknown: it went on after earlier ones, or only searched',
-                    last.device)
+                    last.device, f'ping {last.device:03} alone: if it does not answer, check its '
+                    'power, plug and ID; if it does, the program ended for another reason')
     lost = [] if fatal is None else [fatal.device]
     absent = [device.id for device in case.report.devices
               if device.last_heard_s is None and device.missed_in_a_row
@@ -337,7 +341,9 @@ def _claim_unacknowledged(case: Case) -> Claims:
             and any(one.acks_missing for one in case.report.devices) \
             and len(case.report.waits) < INCIDENTS_MIN:
         yield Doubt('writes are sent, and not one byte comes back: no power, another baud '
-                    'rate, or Status Return Level below 2; let your program read once')
+                    'rate, or Status Return Level below 2', step='let your program read one '
+                    'register: if that is answered, all is well; else measure the supply, then '
+                    'ping at other rates')
     for device in case.report.devices if any(one.acks for one in case.report.devices) else ():
         if device.last_heard_s is None and device.acks_missing \
                 and not (device.id in case.gone and device.totals.data_missed) \
@@ -347,7 +353,9 @@ def _claim_unacknowledged(case: Case) -> Claims:
                     'answers a Ping')
             yield Claim(says, level=None if failed else Level.WARN, device=device.id) \
                 if failed or (is_over and device.acks_missing > ACKS_MISSED_LIMIT) \
-                else Doubt(says, device.id)
+                else Doubt(says, device.id, f'ping {device.id:03} alone: if it answers, set its '
+                           'Status Return Level to 2; else check its plug and ID'
+                           if device.acks_missing >= INCIDENTS_MIN else '')
 
 
 # --- away and back -------------------------------------------------------------------------------

@@ -39,6 +39,7 @@ from servobus.doctor.rule import in_full
 from servobus.doctor.rule import listed
 from servobus.doctor.rule import Rule
 from servobus.doctor.rule import share
+from servobus.doctor.rule import STOP_OTHERS
 from servobus.doctor.symptom import DAMAGE
 from servobus.doctor.symptom import SILENCE
 from servobus.doctor.symptom import TRAFFIC
@@ -48,6 +49,9 @@ from servobus.plain import printable
 
 NOISE_MIN_PACKETS = 5              # damaged ones: fewer have no common cause
 NOISE_MIN_SHARE = 0.001            # share of all packets
+# Below this share damage of no clear kind may be a second program as well, which asks now and then
+# and runs into some packets in a thousand; one that shares the bus all the time hits more.
+NOISE_SURE_MIN_SHARE = 0.01
 STRAY_MIN_PACKETS = 5              # after a stray byte
 STRAY_MIN_SHARE = 0.001            # share of all packets
 ONE_DEVICE_MIN_SHARE = 0.7         # share of the damage: it is that of one device
@@ -545,13 +549,19 @@ def _noise_claims(case: Case) -> Claims:
     both_ways = asked >= BOTH_WAYS_MIN_SHARE * case.damage
     if is_collision(case) if both_ways else may_overlap(case):
         yield Doubt('packets overlap: two programs, two devices with one ID, or a master '
-                    'that does not wait for answers')
+                    'that does not wait for answers', step=f'{STOP_OTHERS}: if packets still '
+                    'overlap, ping each ID while its servo is unplugged: what answers is another')
         return
     way = 'in both directions' if both_ways else 'in answers'
     share_of = about(case.damage, packets + case.damage)
+    picture = case.damage_picture()
+    if not picture and case.damage < NOISE_SURE_MIN_SHARE * packets:
+        yield Doubt(f'{share_of} of the packets damaged, in no clear way: interference, or a '
+                    'second program', step=f'{STOP_OTHERS}: what is damaged then is interference')
+        return
     yield Claim(f'{share_of} of the packets damaged, {way}, of '
                 'several devices: check termination, ground, shielding and motor cables',
-                {**case.damage_picture(),
+                {**picture,
                  'share': share(case.damage, packets + case.damage),
                  'damaged instructions': asked,
                  'devices': in_full(hit)})
@@ -594,7 +604,9 @@ def damaged_answers(case: Case) -> Claims:
             BOTH_WAYS_MIN_SHARE * max(case.damage, case.spoilt):
         return
     if case.count(ev.TOO_LONG, worst) >= INCIDENTS_MIN and ran_into_answers(case):
-        yield Doubt('the master sends during its answers', worst.id)
+        yield Doubt('the master sends during its answers: it does not wait, or a second one '
+                    'sends', worst.id, f'{STOP_OTHERS}: if that goes on, let the program wait 50 '
+                    'ms for each answer')
         return
     window = worst.window
     others = ', others whole' if any(

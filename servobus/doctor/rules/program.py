@@ -22,6 +22,7 @@ from servobus.bus.report import BusReport
 from servobus.bus.report import CONNECTED
 from servobus.bus.report import Cycle
 from servobus.bus.report import DeviceReport
+from servobus.bus.report import RATE_REFUSED
 from servobus.doctor.case import Case
 from servobus.doctor.case import Names
 from servobus.doctor.facts import ACCESS_ERROR
@@ -106,6 +107,21 @@ def unread_answers(case: Case) -> Claims:
     else:
         yield Doubt(f'{words}: if it takes those for the new ones, let it clear its input before '
                     'it asks')
+
+
+@Rule(subject='bus', level=Level.ERROR,
+      symptoms={'proof'},
+      accounts_for={*SILENCE, 'silent bus', 'slow cycle'})
+def rate_refused(case: Case) -> Claims:
+    """
+    The program ended as the driver of its adapter refused a baud rate.
+
+    Do: leave that rate out, or use an adapter that has it.
+    """
+    if case.report.failed == RATE_REFUSED:
+        yield Claim('the driver of the adapter refuses the rate that the program sets after '
+                    f'{case.report.baud} Bd; nothing was asked at it: leave it out, or use '
+                    'another adapter', is_certain=True)
 
 
 @Rule(subject='bus', level=Level.ERROR,
@@ -659,6 +675,6 @@ def _may_come_late(case: Case, device: DeviceReport) -> bool:
         or case.count(ev.THROWN_AWAY) > 0 or case.count(ev.LATE) > 0
 
 
-RULES = (unread_answers, wrong_packets, eeprom_locked, wrong_address, goal_limits, refused,
-    impossible_id, master_stopped, scan, models, eeprom_wear, fast_read_unsupported,
+RULES = (rate_refused, unread_answers, wrong_packets, eeprom_locked, wrong_address, goal_limits,
+    refused, impossible_id, master_stopped, scan, models, eeprom_wear, fast_read_unsupported,
     sync_read_unsupported, group_read_unanswered, unstuffed, no_acks, never_written)

@@ -47,6 +47,7 @@ from servobus.doctor.rule import Found
 from servobus.doctor.rule import in_full
 from servobus.doctor.rule import listed
 from servobus.doctor.rule import Rule
+from servobus.doctor.rule import STOP_OTHERS
 from servobus.doctor.symptom import DAMAGE
 from servobus.doctor.symptom import SILENCE
 from servobus.doctor.thresholds import INCIDENTS_MIN
@@ -302,7 +303,9 @@ def late_answers(case: Case) -> Claims:
             return
         if _is_cut_short(case):
             yield Doubt('the next instruction comes during its answers: two programs, one '
-                        'that does not wait, or two devices with this ID', device=number)
+                        'that does not wait, or two devices with this ID', number,
+                        f'{STOP_OTHERS}: if that goes on, let the program wait 50 ms for each '
+                        'answer; if it still does, two devices have this ID')
         else:
             known = [one.us for one in case.report.waits]
             also = sorted(one for one, times in first.items()

@@ -4,7 +4,7 @@
 The one screen of dxl_doctor: lines of text for a width and a height. Pure.
 
 Three findings are shown in full, the others in a line each. Where it is too much, the devices that
-are well are counted rather than listed, then what is unknown is cut.
+are well are counted rather than listed, then what is unknown is cut, then fewer are in full.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import textwrap
 
 from msg_defs.reports import Level
 from servobus.tools.cli import WIDTH_MAX
+from servobus.tools.doctor.verdict import OpenPoint
 from servobus.tools.doctor.verdict import Trouble
 from servobus.tools.doctor.verdict import Verdict
 from servobus.tools.dump.packet_lines import BOLD
@@ -39,10 +40,13 @@ def screen(verdict: Verdict, colours: bool = False, width: int = WIDTH,
     head = [paint(_head(verdict, width), BOLD if colours else None)]
     if verdict.quiet:
         return [*head, '', 'Nothing was heard:', *_bullets(verdict.quiet, width)]
-    wrong = _wrong(verdict.wrong, colours, width, _EVIDENCE_LINES if height > HEIGHT else 1)
     unknown = _unknown(verdict.unknown, width)
     cycles = [fit(f'  {one}', width) for one in verdict.cycles[:_CYCLES]]
-    room = height - len(head) - len(wrong) - len(cycles) - 3
+    for most in range(FULL_FINDINGS_MAX, 0, -1):       # the next step is never cut
+        wrong = _found(verdict, colours, width, most, _EVIDENCE_LINES if height > HEIGHT else 1)
+        room = height - len(head) - len(wrong) - len(cycles) - 3
+        if room > 0:
+            break
     unknown = unknown[:max(0, room - 1)] if room > 3 else []
     heard = _heard(verdict, width, max(1, min(_HEARD_LINES, room - len(unknown))))
     return [*head, '', *heard, *cycles, '', *wrong, *unknown]
@@ -66,17 +70,42 @@ def _heard(verdict: Verdict, width: int, most: int) -> list[str]:
     return [fit(heard, width), *lines]
 
 
-def _wrong(entries: Sequence[Trouble], colours: bool, width: int, evidence: int) -> list[str]:
-    well = paint('Wrong: nothing that listening can find', GREEN if colours else None)
-    if not entries:
-        return [well]
-    lines = [well, 'Advice:'] if entries[0].level is Level.OK else ['Wrong:']
-    for number, entry in enumerate(entries[:FULL_FINDINGS_MAX], 1):
+def _found(verdict: Verdict, colours: bool, width: int, most: int, evidence: int) -> list[str]:
+    """Return the lines of what is wrong or may be; at most so many of each in full."""
+    not_sure = _not_sure(verdict.not_sure, colours, width, most)
+    if not verdict.wrong:
+        return not_sure or [_well(colours)]
+    wrong = _wrong(verdict.wrong, colours, width, most, evidence)
+    if verdict.wrong[0].level is not Level.OK:
+        return [*wrong, *not_sure]
+    return [*(not_sure or [_well(colours)]), *wrong]
+
+
+def _well(colours: bool) -> str:
+    return paint('Nothing wrong that listening can find', GREEN if colours else None)
+
+
+def _not_sure(points: Sequence[OpenPoint], colours: bool, width: int, most: int) -> list[str]:
+    lines = ['Not sure:'] if points else []
+    for one in points[:most]:
+        rule = f': {one.rule.replace("_", " ")}' if one.rule else ''
+        title = fit(f'  {one.who}{rule}', width)
+        lines += [paint(title, COLOURS[Level.WARN] if colours else None),
+                  *_wrapped(one.message, width, 2), *_wrapped(f'Try: {one.step}', width)]
+    if len(points) > most:
+        lines.append(f'  and {len(points) - most} more: --json lists all')
+    return lines
+
+
+def _wrong(entries: Sequence[Trouble], colours: bool, width: int, most: int,
+           evidence: int) -> list[str]:
+    lines = ['Advice:' if entries[0].level is Level.OK else 'Wrong:']
+    for number, entry in enumerate(entries[:most], 1):
         lines += _in_full(number, entry, colours, width, evidence)
-    rest = entries[FULL_FINDINGS_MAX:]
+    rest = entries[most:]
     shown = rest if len(rest) <= FULL_FINDINGS_MAX else rest[:FULL_FINDINGS_MAX - 1]
     lines += [fit(f'  {_title(number, entry)}: {entry.message}', width)
-              for number, entry in enumerate(shown, FULL_FINDINGS_MAX + 1)]
+              for number, entry in enumerate(shown, most + 1)]
     if len(shown) < len(rest):
         lines.append(f'  and {len(rest) - len(shown)} more: --json lists all')
     return lines
@@ -113,9 +142,9 @@ def _bullets(texts: Sequence[str], width: int) -> list[str]:
             for line in textwrap.wrap(text, width, initial_indent='- ', subsequent_indent='  ')]
 
 
-def _wrapped(text: str, width: int, most: int) -> list[str]:
-    """Break a text into at most so many lines."""
+def _wrapped(text: str, width: int, most: int | None = None) -> list[str]:
+    """Break a text into at most so many lines; None: as many as it needs."""
     lines = textwrap.wrap(text, width - len(_INDENT))
-    if len(lines) > most:
+    if most is not None and len(lines) > most:
         lines = [*lines[:most - 1], fit(' '.join(lines[most - 1:]), width - len(_INDENT))]
     return [_INDENT + line for line in lines]

@@ -40,6 +40,7 @@ from servobus.sources.opening import REPORT
 from servobus.tools.doctor.answer_screen import screen
 from servobus.tools.doctor.verdict import as_json
 from servobus.tools.doctor.verdict import DeviceGroup
+from servobus.tools.doctor.verdict import OpenPoint
 from servobus.tools.doctor.verdict import Trouble
 from servobus.tools.doctor.verdict import Verdict
 
@@ -251,7 +252,9 @@ def _verdict(stored: dict[str, Any]) -> Verdict | None:
             tuple(Trouble(Level(level), _text(who), _text(rule), _text(message), _text(evidence))
                   for level, who, rule, message, evidence in verdict['wrong'][:_LIST_MAX_LENGTH]),
             tuple(_texts(verdict['unknown'])), tuple(_texts(verdict['quiet'])),
-            _text(verdict.get('protocol', '')), tuple(_texts(verdict.get('cycles'))))
+            _text(verdict.get('protocol', '')), tuple(_texts(verdict.get('cycles'))),
+            tuple(OpenPoint(_text(who), _text(rule), _text(message), _text(step)) for
+                  who, rule, message, step in verdict.get('not_sure', [])[:_LIST_MAX_LENGTH]))
     except (KeyError, TypeError, ValueError):
         return None
 

@@ -15,6 +15,7 @@ import json
 import ntpath
 import os
 from pathlib import Path
+import re
 import secrets
 import signal
 import time
@@ -28,6 +29,7 @@ from msg_defs.reports import Level
 from servobus.bus.report import FAILED
 from servobus.bus.report import OWN
 from servobus.bus.report import RAISED
+from servobus.bus.report import RATE_REFUSED
 from servobus.bus.report import SERVO_LIBRARIES
 from servobus.bus.report import STOLE_REPLIES
 from servobus.plain import printable
@@ -55,6 +57,9 @@ _LEFT = ('the program closed the connection of the tap after {:.1f} s; what it s
 _IN_BACKGROUND = ('the program goes on in the background and is no longer heard: let it run in '
                   f'the foreground, or write --by {STRACE} in front of --')
 _BESIDES = f'if it writes to the descriptor itself, write --by {STRACE} in front of --'
+# termios.error as Python names it, and what pyserial makes of the same.
+_REFUSED_RATE = re.compile(r'^(termios\.)?error: \(22, |custom baud rate|'
+                           r'non-standard baudrates|[Ii]nvalid baud ?rate')
 _ROBBED = 'multiple access on port'        # as pyserial says
 
 
@@ -77,6 +82,8 @@ class Ending(NamedTuple):
         """Whether it ended by itself with an error that may be of the bus (bus/report.py)."""
         if not self.code or self.was_stopped:
             return ''
+        if _REFUSED_RATE.search(self.error):
+            return RATE_REFUSED
         is_of_library = self.packages & SERVO_LIBRARIES or any(
             not one.is_general for one in explain.find(self.error or '-'))
         return RAISED if is_of_library else FAILED
@@ -88,7 +95,7 @@ class Ending(NamedTuple):
 
     def trouble(self) -> Trouble | None:
         """Return what is wrong with a program that its servo library has ended."""
-        if self.failed != RAISED:
+        if self.failed not in (RAISED, RATE_REFUSED):
             return None
         means = explain.find(self.error)
         return Trouble(Level.WARN, 'the program', '', f'it ended with {self.error}',

@@ -12,16 +12,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import groupby
 import os
+import re
 from typing import Any
 from typing import NamedTuple
 
 from msg_defs.reports import Level
 from servobus.bus.report import CONNECTED
 from servobus.bus.report import DeviceReport
+from servobus.bus.report import MOVED
 from servobus.doctor.facts import is_rate_search
 from servobus.doctor.finding_log import BusSummary
 from servobus.doctor.finding_log import LoggedFinding
 from servobus.doctor.finding_log import NEEDS_TIMES
+from servobus.doctor.open_symptoms import open_symptoms
+from servobus.doctor.rule import PORT
+from servobus.doctor.rules import accounts_for
 from servobus.doctor.states import LISTED_AS
 from servobus.plain import printable
 from servobus.plain_data import bus_data
@@ -33,6 +38,7 @@ WELL, NOTHING_HEARD, WARNING, ERROR = 0, 1, 3, 4      # exit codes; 2 is a wrong
 PORTS_NAMED_MAX = 2
 SMALL_SHARE = 0.005                # share of a cycle that is not worth a word
 LOAD_MIN_NS = 2_000_000_000         # the load of a shorter time says nothing
+_CAUSE_IN_STATE = CONNECTED, MOVED     # open_symptoms.py has what is left of the others
 _CODES = {Level.WARN: WARNING, Level.ERROR: ERROR}
 ID = '{:03}'
 _UNTIMED = 'waits and periods: this file holds no times; record with dxl_dump -w FILE'
@@ -46,6 +52,15 @@ class Trouble(NamedTuple):
     rule: str
     message: str
     evidence: str
+
+
+class OpenPoint(NamedTuple):
+    """What is wrong and has several causes left; rule '': none has it; step: what decides."""
+
+    who: str
+    rule: str
+    message: str
+    step: str
 
 
 class DeviceGroup(NamedTuple):
@@ -67,13 +82,15 @@ class Verdict(NamedTuple):
     quiet: tuple[str, ...]
     protocol: str = ''             # what the buses speak, in words; '' unheard
     cycles: tuple[str, ...] = ()   # where the time of a cycle goes
+    not_sure: tuple[OpenPoint, ...] = ()
 
     @property
     def code(self) -> int:
         """The exit code that this is worth."""
         if self.quiet:
             return NOTHING_HEARD
-        return max((_CODES.get(entry.level, WELL) for entry in self.wrong), default=WELL)
+        return max([_CODES.get(entry.level, WELL) for entry in self.wrong]
+                   + [WARNING] * bool(self.not_sure), default=WELL)
 
 
 def make_verdict(source: str, buses: Sequence[BusSummary], seconds: float, is_timed: bool,
@@ -86,11 +103,22 @@ def make_verdict(source: str, buses: Sequence[BusSummary], seconds: float, is_ti
     Of a program: its ports, the error with which it ended, what is unknown of that.
     """
     unknown = [*more_unknown, *([] if is_timed or quiet else [_UNTIMED])]
+    not_sure: list[OpenPoint] = []
+    port = next(iter(ports), '') or re.sub('^usb:', '', source)
     for bus in buses:
-        unknown += [f'{doubt.rule.replace("_", " ")}, {bus.who(doubt.device)}: {doubt.message}'
-                    for doubt in bus.report.doubts if is_timed or doubt.rule not in NEEDS_TIMES]
+        doubts = [one for one in bus.report.doubts if is_timed or one.rule not in NEEDS_TIMES]
+        found = [one.finding for one in bus.logged]
+        steps = [one for one in doubts if one.step and not any(
+            cause.level is Level.ERROR or accounts_for(cause, one) for cause in found)]
+        left = open_symptoms(bus.report, [*found, *steps])
+        unknown += [f'{one.rule.replace("_", " ")}, {bus.who(one.device)}: {one.message}'
+                    for one in doubts if one not in steps]
         unknown += [f'{bus.who(one.id)}: {printable(one.message)}; the cause is unknown'
-                    for one in _unnamed(bus) if _is_slight(one)]
+                    for one in _unnamed(bus)
+                    if _is_slight(one) and one.id not in {finding.device for finding in left}]
+        not_sure += [OpenPoint(bus.who(one.device), one.rule, printable(one.message), printable(
+            one.step.replace(PORT, port if port.startswith('/dev/') else PORT)))
+            for one in [*steps, *left]]
     wrong = [entry for bus in buses for entry in _wrong(bus)] + [one for one in [ended] if one]
     return Verdict(printable(source), (*map(os.path.basename, ports[:PORTS_NAMED_MAX]),
                                        *_head(buses, seconds, is_timed)),
@@ -98,7 +126,8 @@ def make_verdict(source: str, buses: Sequence[BusSummary], seconds: float, is_ti
                    tuple(sorted(wrong, key=lambda entry: -entry.level)), tuple(unknown),
                    tuple(quiet), ' and '.join(dict.fromkeys(
                        bus.report.protocol for bus in buses if bus.report.protocol)),
-                   tuple(_cycle(bus) for bus in buses if is_timed and bus.report.cycle))
+                   tuple(_cycle(bus) for bus in buses if is_timed and bus.report.cycle),
+                   tuple(not_sure))
 
 
 def _cycle(bus: BusSummary) -> str:
@@ -159,11 +188,9 @@ def _kind(device: DeviceReport) -> tuple[str, Level]:
 
 def _wrong(bus: BusSummary) -> list[Trouble]:
     found = [_entry(bus, alike) for alike in _alike(bus.logged)]
-    report = bus.report
     found += [Trouble(device.level, bus.who(device.id), '', printable(device.message), '')
-              for device in _unnamed(bus) if not _is_slight(device)]
-    if report.level in _CODES and not found and None not in _named(bus):
-        found.append(Trouble(report.level, bus.who(None), '', printable(report.message), ''))
+              for device in _unnamed(bus) if device.state in _CAUSE_IN_STATE
+              and not _is_slight(device)]
     return found
 
 
@@ -219,6 +246,7 @@ def as_json(verdict: Verdict, buses: Sequence[BusSummary], seconds: float) -> di
     return {
         'source': verdict.source, 'seconds': round(seconds, 3), 'exit': verdict.code,
         'wrong': [[one.level.name, one.who, one.rule, one.message] for one in verdict.wrong],
+        'not_sure': [list(one) for one in verdict.not_sure],
         'nothing_heard': list(verdict.quiet), 'cannot_tell': list(verdict.unknown),
         'buses': [bus_data(bus.report) | {
             'devices': [device_data(device) for device in bus.report.devices],
