@@ -49,7 +49,8 @@ from vel2d_bridge.link import Link
 from vel2d_bridge.mcu_log import McuLog
 
 ROOT = Path(__file__).resolve().parents[1]
-LIKELIEST_CAUSES = 3               # --explain names all
+LIKELIEST_CAUSES = 2               # --explain names all
+NAMED_PROGRAMS = 3                 # as well
 NOTE = '<!-- Made from the code by docs/generate.py: edit that, or the code. -->\n'
 FINDINGS = '<!-- Made from servobus/doctor/rules/ by docs/generate.py: edit that. -->\n'
 FINDINGS_END = '<!-- End of what is made from the rules. -->\n'
@@ -320,7 +321,7 @@ def _error(one: Explanation) -> str:
     also = ''.join(f', `{text.replace("{}", "...")}`' for text in one.also
                    if text not in one.text)
     causes = ', '.join(f'`{rule}`' for rule in one.findings[:LIKELIEST_CAUSES])
-    parts = [f'## {one.text.replace("{}", "...")}\n', f'{", ".join(one.says)}{also}\n',
+    parts = [f'## {one.text.replace("{}", "...")}\n', f'{", ".join(one.says[:NAMED_PROGRAMS])}{also}\n',
              ' '.join(filter(None, [one.means, one.do])) + '\n',
              f'Causes: {causes}\n' if causes else '']
     return '\n'.join(filter(None, parts))
