@@ -77,7 +77,7 @@ class Names(NamedTuple):
 
 PARAMETERS = Names('`bauds`', '`devices`', '`model_dirs`')
 OPTIONS = Names('-b', '--devices', '--model-dirs')
-ARGUMENTS = Names('`baud`', '`devices`', '`models`')     # of servobus.listen()
+ARGUMENTS = Names('`baud`', '`devices`', '`models`')     # those of listen()
 
 
 class TwoClocks(NamedTuple):

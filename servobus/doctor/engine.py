@@ -74,8 +74,8 @@ class Doctor:
                 if isinstance(found, Claim):
                     key = rule.name, found.device
                     since[key] = self._since.get(key, case.now)
-                    onset_s = WEAK_ONSET_S if rule in devices.RULES and case.is_weak \
-                        else rule.onset_s
+                    onset_s = max(rule.onset_s, WEAK_ONSET_S) \
+                        if rule in devices.RULES and case.is_weak else rule.onset_s
                     if found.is_certain or case.now - since[key] >= onset_s * NS_PER_S:
                         self._standing[key] = standing_claim(case, rule, found,
                                                       self._standing.get(key))

@@ -420,11 +420,11 @@ def duplicate_id(case: Case, device: DeviceReport) -> Found | None:
 def _says_too_much(case: Case, device: DeviceReport) -> bool:
     """Tell whether bytes follow the answers of this device alone: a cable only changes them."""
     overlong, asked = device.window.overlong_replies, device.window.asked
+    if overlong < max(OVERLONG_MIN_ANSWERS, OVERLONG_MIN_SHARE * asked) or case.count(ev.LATE):
+        return False
     others = [one.window for one in case.report.devices
               if one is not device and one.window.answers >= overlong]
-    return overlong >= max(OVERLONG_MIN_ANSWERS, OVERLONG_MIN_SHARE * asked) and bool(others) \
-        and all(10 * one.overlong_replies <= overlong for one in others) \
-        and not case.count(ev.LATE)
+    return bool(others) and all(10 * one.overlong_replies <= overlong for one in others)
 
 
 def _alone_answers_again(case: Case, device: DeviceReport) -> bool:
@@ -435,9 +435,9 @@ def _alone_answers_again(case: Case, device: DeviceReport) -> bool:
     and the damage would hit the answers of others too. What a device of Protocol 1.0 says is
     damage as long as it is not proven to be that.
     """
-    if case.count(ev.PROTOCOL_1, device):
-        return False
     again = case.count(ev.ANSWERED_AGAIN, device)
+    if not again or case.count(ev.PROTOCOL_1, device):
+        return False
     others = [one for one in case.report.devices
               if one is not device and one.window.answers >= again]
     return len(others) > 1 and again == case.count(ev.ANSWERED_AGAIN) \
