@@ -321,7 +321,8 @@ def _error(one: Explanation) -> str:
     also = ''.join(f', `{text.replace("{}", "...")}`' for text in one.also
                    if text not in one.text)
     causes = ', '.join(f'`{rule}`' for rule in one.findings[:LIKELIEST_CAUSES])
-    parts = [f'## {one.text.replace("{}", "...")}\n', f'{", ".join(one.says[:NAMED_PROGRAMS])}{also}\n',
+    who = ', '.join(one.says[:NAMED_PROGRAMS])
+    parts = [f'## {one.text.replace("{}", "...")}\n', f'{who}{also}\n',
              ' '.join(filter(None, [one.means, one.do])) + '\n',
              f'Causes: {causes}\n' if causes else '']
     return '\n'.join(filter(None, parts))
