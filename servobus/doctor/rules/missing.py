@@ -466,13 +466,15 @@ def torque_off(case: Case, device: DeviceReport) -> Found | None:
         return Claim('goals are sent to it, but its torque is off: switch it on '
                      '(Torque Enable 1); after a restart, write all its settings again',
                      rests_on=_MOTION)
+    was_away = bool(_absences(case, device))
+    may_hold = device.id in case.turned and not was_away       # it has closed on something
     if (torque is None or torque.source == 'w') \
             and is_watched(case, device, place) and _is_ignored(
-                [*case.samples[device.id]], 0.1 / (place.field.scale or 0.001)):
+                [*case.samples[device.id]], 0.1 / (place.field.scale or 0.001), may_hold):
         return Claim('goals leave its position on both sides or repeatedly, and it '
                      'does not move: write 1 to Torque Enable, or check its motor and what '
                      'blocks it', rests_on=_MOTION)
-    if torque is not None and torque.value.raw and not _absences(case, device):
+    if may_hold or (torque is not None and torque.value.raw and not was_away):
         return None                    # it is on, so something holds it, or it is where it can be
     since = samples[1].stamp
     others = [[one.position for one in _recent_samples(case, other) if one.stamp >= since]
@@ -549,16 +551,17 @@ def _since_it_moved(samples: list[Sample]) -> list[Sample]:
     return samples[moved[-1] if moved else 0:]
 
 
-def _is_ignored(samples: list[Sample], least: float) -> bool:
+def _is_ignored(samples: list[Sample], least: float, may_hold: bool) -> bool:
     """
     Tell whether no goal moves a joint, on both sides of it, or away from it and back again.
 
-    One that is blocked ignores one side, and what a gripper holds is not let go at each turn.
+    One that is blocked ignores one side, as a gripper does that has closed and holds something.
     """
     ways = [one.goal - one.position for one in samples[1:]
             if one.goal is not None and one.position is not None]
     ends = [abs(one) > least for one in ways if not least / 3 < abs(one) < 3 * least]
-    return _does_not_follow(samples) and (sum(map(ne, ends, ends[1:])) > 2 or min(
+    is_repeated = not may_hold and sum(map(ne, ends, ends[1:])) > 2
+    return _does_not_follow(samples) and (is_repeated or min(
         sum(one > least for one in ways), sum(one < -least for one in ways)) > 1)
 
 
