@@ -22,6 +22,7 @@ from servobus.bus.report import BusReport
 from servobus.bus.report import CONNECTED
 from servobus.bus.report import Cycle
 from servobus.bus.report import DeviceReport
+from servobus.bus.table import Observed
 from servobus.doctor.case import Case
 from servobus.doctor.case import Names
 from servobus.doctor.facts import ACCESS_ERROR
@@ -51,7 +52,7 @@ GOALS_BEYOND_MIN = 2               # one may be a slip of a person
 STILL_MIN_REPORTS = 6              # at rest in so many reports: it is not on its way
 WORD = 65_536
 _RATES = 'Velocity', 'Current', 'PWM'
-_POSITION_LIMITS = 'Min Position Limit', 'Max Position Limit'
+_MIN_POSITION, _MAX_POSITION = 'Min Position Limit', 'Max Position Limit'
 EEPROM_WRITES_MIN = 30             # in 10 s: no start-up writes as many
 POLLED_MIN_READS = 20              # from a device that was never written
 POLLED_MIN_S = 3.0                 # by then each is written that will be, and models are known
@@ -256,24 +257,26 @@ def goal_limits(case: Case, device: DeviceReport) -> Found | None:
             return Claim(f'value for {name} refused, beyond its limits: keep goals '
                          'within these, or set wider ones (as Max Position Limit)',
                          {'refused': count})
-    return _rate_beyond(case, device) or _position_beyond(case, device)
-
-
-def _rate_beyond(case: Case, device: DeviceReport) -> Found | None:
-    """Look for a velocity, current or PWM beyond its limit; nothing answers a Sync Write."""
     values = case.values[device.id]
-    for name in _RATES if device.model.protocol == '2' else ():
-        goal, limit = values.get(f'Goal {name}'), values.get(f'{name} Limit')
-        if goal is None or limit is None or goal.source != 'w' or not limit.value.raw \
-                or abs(goal.value.raw) <= limit.value.raw \
-                or (limit.source == 'w' and limit.age_s < goal.age_s):     # it was wider then
-            continue
-        most = limit.value.raw
-        return Claim(f'Goal {name} {goal.value.raw} is beyond its {name} Limit of {most}, so it '
-                     f'is refused{_meant(goal.field, goal.value.raw, -most, most)}: send less, '
-                     'or set a wider limit',
-                     rests_on=(f'Goal {name}', f'{name} Limit'))
-    return None
+    for name in _RATES:
+        if f'Goal {name}' in values and f'{name} Limit' in values \
+                and (beyond := _rate_beyond(name, values)):
+            return beyond
+    return _position_beyond(case, device) if 'Goal Position' in values else None
+
+
+def _rate_beyond(name: str, values: dict[str, Observed]) -> Found | None:
+    """Look for a velocity, current or PWM beyond its limit; nothing answers a Sync Write."""
+    goal, limit = values[f'Goal {name}'], values[f'{name} Limit']
+    if goal.source != 'w' or not limit.value.raw \
+            or abs(goal.value.raw) <= limit.value.raw \
+            or (limit.source == 'w' and limit.age_s < goal.age_s):     # it was wider then
+        return None
+    most = limit.value.raw
+    return Claim(f'Goal {name} {goal.value.raw} is beyond its {name} Limit of {most}, so it '
+                 f'is refused{_meant(goal.field, goal.value.raw, -most, most)}: send less, '
+                 'or set a wider limit',
+                 rests_on=(f'Goal {name}', f'{name} Limit'))
 
 
 def _meant(field: Field, raw: float, low: float, high: float) -> str:
@@ -287,19 +290,20 @@ def _meant(field: Field, raw: float, low: float, high: float) -> str:
 
 def _position_beyond(case: Case, device: DeviceReport) -> Found | None:
     """Look for goals beyond the limits, or beyond a turn."""
-    goal, mode = map(case.values[device.id].get, ('Goal Position', 'Operating Mode'))
-    is_feetech = device.model.protocol == FEETECH.protocol
-    if goal is None or goal.source != 'w' or (mode is not None and mode.value.raw != (
+    values = case.values[device.id]
+    goal, is_feetech = values['Goal Position'], device.model.protocol == FEETECH.protocol
+    has_mode = 'Operating Mode' in values
+    if goal.source != 'w' or (has_mode and values['Operating Mode'].value.raw != (
             0 if is_feetech else POSITION_CONTROL)):
         return None
-    low, high = (one.value.raw if one is not None else 0 for one in map(
-        case.values[device.id].get, _POSITION_LIMITS))
-    if low < high and (is_feetech or (mode is not None and high - low < TURN_STEPS - 1)):
-        return _goals_held_back(case, device, low, high)
-    if round(TURN_STEPS * (goal.field.scale or 0), 2) != 6.28 or device.model.protocol == '1' \
-            or (is_feetech and _POSITION_LIMITS[0] in case.values[device.id]):
+    if _MIN_POSITION in values and _MAX_POSITION in values:
+        low, high = values[_MIN_POSITION].value.raw, values[_MAX_POSITION].value.raw
+        if low < high and (is_feetech or (has_mode and high - low < TURN_STEPS - 1)):
+            return _goals_held_back(case, device, low, high)
+    if device.model.protocol == '1' or (is_feetech and _MIN_POSITION in values) \
+            or round(TURN_STEPS * (goal.field.scale or 0), 2) != 6.28:
         return None                            # Feetech: both are 0 where it has none
-    return _goals_beyond_a_turn(case, device, goal.field, mode is not None)
+    return _goals_beyond_a_turn(case, device, goal.field, has_mode)
 
 
 def _goals_held_back(case: Case, device: DeviceReport, low: float,
@@ -315,7 +319,7 @@ def _goals_held_back(case: Case, device: DeviceReport, low: float,
     return Claim(f'goals beyond its limits of {low} to {high} are sent'
                  f'{_meant(field, farthest, low, high)}: {effect}; keep goals within them, or '
                  'set wider ones (Min and Max Position Limit)', {'the farthest': farthest},
-                 rests_on=('Goal Position', *_POSITION_LIMITS))
+                 rests_on=('Goal Position', _MIN_POSITION, _MAX_POSITION))
 
 
 def _goals_beyond_a_turn(case: Case, device: DeviceReport, field: Field,
@@ -323,6 +327,8 @@ def _goals_beyond_a_turn(case: Case, device: DeviceReport, field: Field,
     """Look for goals beyond a turn, where no limits are known and it does not go there."""
     samples = case.samples.get(device.id, ())
     beyond = [one for one in samples if one.goal is not None and not 0 <= one.goal < TURN_STEPS]
+    if len(beyond) < GOALS_BEYOND_MIN:
+        return None
     places = [one.position for one in beyond if one.position is not None]
     still = sum(0 <= two < TURN_STEPS and abs(one - two) <= STILL_MAX_STEPS
                 for one, two in pairwise(places))
@@ -333,8 +339,7 @@ def _goals_beyond_a_turn(case: Case, device: DeviceReport, field: Field,
     moved_before = still >= GOALS_BEYOND_MIN \
         and not {*places}.issuperset(one.position for one in samples)
     # In another mode, or without limits, it would go there.
-    if len(beyond) < GOALS_BEYOND_MIN or not (
-            is_at_rest or moved_before or (is_certain and not is_feetech)):
+    if not (is_at_rest or moved_before or (is_certain and not is_feetech)):
         return None
     remedy = 'keep them within, and read Min and Max Position Limit' if is_feetech else \
         'keep them within, or set Extended Position Control Mode' if is_certain or moved_before \
@@ -623,10 +628,9 @@ def _answer_single_reads(case: Case, cycle: Cycle) -> bool:
         and not one.model_name.startswith(HAVE_SYNC_READ) for one in members)
 
 
-@Rule(needs_incident=(ev.MISSED,),
-      symptoms={'unanswered group reads'},
+@Rule(symptoms={'unanswered group reads'},
       accounts_for={*SILENCE, 'silent bus', 'absence', 'absence of several', 'slow cycle'})
-def group_read_unanswered(case: Case, device: DeviceReport) -> Found | None:
+def group_read_unanswered(case: Case) -> Claims:
     """
     Answers single instructions all the time, and never one Sync Read or Bulk Read.
 
@@ -634,23 +638,38 @@ def group_read_unanswered(case: Case, device: DeviceReport) -> Found | None:
 
     Do: read it by single Reads; update its firmware, or let it hear the one before it.
     """
-    missed = Counter(one.detail for one in case.incidents(ev.MISSED, device))
-    [(what, count)] = missed.most_common(1)
-    cycle = next((one for one in case.report.cycles if device.id in one.ids and (
-        one.instruction, one.address) == what and one.missed >= one.asked - 1), None)
-    others = device.window.answers - device.window.pongs
-    if cycle is None or cycle.instruction not in GROUP_READS or _may_come_late(case, device) \
-            or min(count, others) < GROUP_READS_MIN \
-            or count < MISSED_ALIKE_MIN_SHARE * missed.total() \
-            or device.totals.missed < MISSED_ALIKE_MIN_SHARE * cycle.missed:
-        return None
+    for cycle in case.report.cycles:
+        if cycle.instruction not in GROUP_READS or cycle.missed < GROUP_READS_MIN \
+                or cycle.missed < cycle.asked - 1:
+            continue
+        for device in case.report.devices:
+            if device.id in cycle.ids \
+                    and device.totals.missed >= MISSED_ALIKE_MIN_SHARE * cycle.missed \
+                    and device.window.answers - device.window.pongs >= GROUP_READS_MIN \
+                    and _is_lost_there_only(case, cycle, device):
+                yield _claim_unanswered(cycle, device)
+
+
+def _is_lost_there_only(case: Case, cycle: Cycle, device: DeviceReport) -> bool:
+    """Tell whether a device is lost in this instruction, and in no other one."""
+    if _may_come_late(case, device):
+        return False
+    missed = case.incidents(ev.MISSED, device)
+    alike = sum((one.detail.instruction, one.detail.address) == (cycle.instruction, cycle.address)
+                for one in missed)
+    return alike >= max(GROUP_READS_MIN, MISSED_ALIKE_MIN_SHARE * len(missed))
+
+
+def _claim_unanswered(cycle: Cycle, device: DeviceReport) -> Claim:
     name, at = name_of(cycle.instruction), cycle.ids.index(device.id)
     before = f'{cycle.ids[at - 1]:03}' if at else ''
     place = f' (it is after {before})' if at else ''
     remedy = f'let it hear the status of {before}' if at else 'update its firmware'
     return Claim(f'answers single instructions and never the {name} of {listed(cycle.ids, 3)}'
                  f'{place}: no plug does that; read it by single Reads, or {remedy}',
-                 {name: cycle.asked, 'other answers in 10 s': others}, covers=cycle.ids[at + 1:])
+                 {name: cycle.asked,
+                  'other answers in 10 s': device.window.answers - device.window.pongs},
+                 covers=cycle.ids[at + 1:], device=device.id)
 
 
 def _may_come_late(case: Case, device: DeviceReport) -> bool:
