@@ -62,6 +62,8 @@ ANSWERS_OTHERWISE_S = 2.0          # an answer to something else, so lately: it 
 STOPPED_MIN_S = 1.2
 STOPPED_WARN_S = 10.0              # a shorter pause may be meant
 WORKED_MIN_S = 2.5                 # a program that ran so long has stopped; a command is done
+TWIN_MIN_ANSWERS = 15              # of fewer the shares differ by chance
+TWIN_MIN_FACTOR = 1.5              # two answer twice as often as one
 NO_IDS = (0xFD, 0xFF)
 _NO_ID = ', which no device can have (0 to 252): correct the ID in its program'
 _NO_NAMES = 'so registers have no names and some causes cannot be found'
@@ -100,13 +102,30 @@ def unread_answers(case: Case) -> Claims:
         return
     words = 'each time the program asks, bytes of earlier answers still wait to be read'
     lost = sum(device.window.missed for device in case.report.devices)
-    if case.damage + lost >= INCIDENTS_MIN:
+    twin = _answers_twice(case)
+    if twin is not None:
+        yield Claim(f'{words}, and {twin:03} says twice as much as others: two devices have this '
+                    'ID; unplug one and change the ID of the other',
+                    {'missed or damaged': case.damage + lost}, covers=tuple(case.devices))
+    elif case.damage + lost >= INCIDENTS_MIN:
         yield Claim(f'{words}: it reads too few, or takes old answers for new ones; let it read '
                     'whole answers, and clear its input before it asks',
                     {'missed or damaged': case.damage + lost}, covers=tuple(case.devices))
     else:
         yield Doubt(f'{words}: if it takes those for the new ones, let it clear its input before '
                     'it asks')
+
+
+def _answers_twice(case: Case) -> int | None:
+    """Return the ID of which whole answers in the noise are too many for the questions to it."""
+    seen = Counter(one.device for one in case.incidents(ev.PROTOCOL_1))
+    shares = []
+    for number, times in seen.items():
+        asked = sum(cycle.asked for cycle in case.report.cycles if cycle.ids == (number,))
+        shares.append((times / asked if asked else 0.0, number))
+    shares.sort()
+    return shares[-1][1] if len(shares) > 1 and seen[shares[-1][1]] >= TWIN_MIN_ANSWERS \
+        and shares[-1][0] > TWIN_MIN_FACTOR * shares[-2][0] > 0 else None
 
 
 @Rule(subject='bus', level=Level.ERROR,
