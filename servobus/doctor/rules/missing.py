@@ -41,6 +41,7 @@ from servobus.doctor.rule import longer_than
 from servobus.doctor.rule import Rule
 from servobus.doctor.rule import share
 from servobus.doctor.symptom import SILENCE
+from servobus.doctor.thresholds import GOAL_FAR_STEPS
 from servobus.doctor.thresholds import GONE_S
 from servobus.doctor.thresholds import INCIDENTS_MIN
 from servobus.doctor.thresholds import STILL_MAX_STEPS
@@ -54,7 +55,6 @@ LATE_MIN_SHARE = 0.1               # share of its answers; fewer are late by cha
 ADAPTER_HOLD_US = 20_000           # so long an adapter may hold an answer back (latency timer)
 ACKS_MISSED_LIMIT = 4              # as `missed_limit`
 GOAL_MOVES_STEPS = 20              # a goal that changes less may be held by friction
-GOAL_FAR_STEPS = 200               # farther than what holds a joint bends
 STOPPED_MIN_S = 1.0                # standing still for so long means something
 STILL_MIN_S = 2.5                  # the same where its torque was not read
 FOLLOW_WINDOW_S = 4.0              # samples of so long show whether it follows

@@ -62,7 +62,7 @@ ANSWERS_OTHERWISE_S = 2.0          # an answer to something else, so lately: it 
 STOPPED_MIN_S = 1.2
 STOPPED_WARN_S = 10.0              # a shorter pause may be meant
 WORKED_MIN_S = 2.5                 # a program that ran so long has stopped; a command is done
-TWIN_MIN_ANSWERS = 15              # of fewer the shares differ by chance
+TWIN_MIN_ANSWERS = 15              # the shares of fewer differ by chance
 TWIN_MIN_FACTOR = 1.5              # two answer twice as often as one
 NO_IDS = (0xFD, 0xFF)
 _NO_ID = ', which no device can have (0 to 252): correct the ID in its program'
@@ -267,6 +267,18 @@ def goal_limits(case: Case, device: DeviceReport) -> Found | None:
 
     Do: limit the goals, or set wider limits.
     """
+    refusal = _value_refused(case, device) if ev.REFUSED in case.incidents_by_kind else None
+    if refusal is not None:
+        return refusal
+    values = case.values[device.id]
+    for name in _RATES:
+        if f'Goal {name}' in values and f'{name} Limit' in values \
+                and (beyond := _rate_beyond(name, values)):
+            return beyond
+    return _position_beyond(case, device) if 'Goal Position' in values else None
+
+
+def _value_refused(case: Case, device: DeviceReport) -> Found | None:
     found = Counter(one.detail.address for one in case.incidents(ev.REFUSED, device)
                     if one.detail.error == LIMIT_ERROR and one.detail.instruction in SINGLE_WRITES)
     for address, count in found.most_common(1):
@@ -276,12 +288,7 @@ def goal_limits(case: Case, device: DeviceReport) -> Found | None:
             return Claim(f'value for {name} refused, beyond its limits: keep goals '
                          'within these, or set wider ones (as Max Position Limit)',
                          {'refused': count})
-    values = case.values[device.id]
-    for name in _RATES:
-        if f'Goal {name}' in values and f'{name} Limit' in values \
-                and (beyond := _rate_beyond(name, values)):
-            return beyond
-    return _position_beyond(case, device) if 'Goal Position' in values else None
+    return None
 
 
 def _rate_beyond(name: str, values: dict[str, Observed]) -> Found | None:
@@ -466,17 +473,25 @@ def models(case: Case) -> Claims:
     found: dict[str, list[int]] = {}
     for device in case.report.devices:
         if device.model.number is None and device.last_heard_s is not None:
-            found.setdefault(_registers(device, _NO_NAMES), []).append(device.id)
+            found.setdefault(_what_is_unknown(device, case.names), []).append(device.id)
     if found and case.heard_s >= POLLED_MIN_S:
-        known = '; '.join(f'{listed(ids, 3)}: model not known, {registers}'
-                          for registers, ids in found.items())
-        yield Doubt(f'{known}; add ID:MODEL to {case.names.devices}, or let your program '
-                    'ping the servos')
+        yield Doubt('; '.join(f'{listed(ids, 3)}: {words}' for words, ids in found.items()))
+
+
+def _what_is_unknown(device: DeviceReport, names: Names) -> str:
+    if device.model_number is not None:
+        return f'model {device.model_number} has no model file: add one to {names.folders}'
+    return (f'model not known, {_registers(device, _NO_NAMES)}; add ID:MODEL to {names.devices}, '
+            'or let your program ping the servos')
 
 
 def _registers(device: DeviceReport, none: str) -> str:
-    return none if device.model is UNKNOWN \
-        else f'registers as in {device.model.name}, by what the program uses'
+    model = device.model
+    if model is UNKNOWN:
+        return none
+    shared = f'that {model.name} share' if ' and ' in model.name \
+        else f'as in {model.name}'
+    return f'registers {shared}, by what the program uses'
 
 
 def with_models_named(report: BusReport, names: Names) -> BusReport:
@@ -506,8 +521,8 @@ def eeprom_wear(case: Case, device: DeviceReport) -> Found | None:
     Do: write only what changes.
     """
     count = device.window.eeprom_writes
-    if count < EEPROM_WRITES_MIN:
-        return None
+    if count < EEPROM_WRITES_MIN or device.id in case.gone:
+        return None                            # what is silent takes no writes
     hours = 100_000 / (count / 10) / 3600
     return Claim(f'EEPROM written {count} times in 10 s: it lasts about 100 000 '
                  f'writes, {hours:.1f} hours at this rate; write only what changes',
