@@ -218,6 +218,19 @@ def read_in_part(comes, whole=1):
         yield 0, '', EMPTY
 
 
+def reads_by_count(of_2, size=8):
+    """Ask two servos, read as many bytes as an answer has, never clear; so many of ID 2."""
+    waiting = b''
+    for turn in count():
+        number = 1 + turn % 2
+        yield 3, '', Change(UNREAD, len(waiting))
+        yield 0, OUT, packet(number, 2, 56, 2)
+        for more in range(of_2 if number == 2 else 1):
+            waiting += packet(number, 0, turn % 200, more)
+        yield 1, IN, waiting[:size]
+        waiting = waiting[size:]
+
+
 @pytest.mark.parametrize(('said', 'failed', 'found'), [
     *((played(parts), failed, found) for found, failed, *parts in yaml.safe_load(
         Path(__file__).with_name('foreign_programs.yaml').read_text())),
@@ -232,6 +245,8 @@ def read_in_part(comes, whole=1):
     (read_in_part(lambda number, asked, answer: answer + b'\0'), '', ''),
     (read_in_part(lambda number, asked, answer: answer if number == 2 else
                   answer[:3] + b'\x64' + answer[4:]), '', 'damaged_answers'),
+    (reads_by_count(2), '', 'duplicate_id'), (reads_by_count(1), '', ''),
+    (reads_by_count(1, 7), '', 'unread_answers'),
     (one_way(3, 4300), '', 'goal_limits'), (one_way(4, 4300), '', ''),
     (one_way(3, 2000), '', ''),
     (lost_acks(3), '', 'missed_answers'), (lost_acks(8), '', ''),

@@ -61,6 +61,7 @@ NO_WAIT_NS = 500_000               # who looks no longer than that did not wait 
 HUNG_WAIT_NS = 2_000_000_000            # a program that waits longer has no time-out
 ACKS_READ_MIN = 10                 # answers to one write: it does not go on without them
 QUESTIONS_KEPT = 16
+OWN_ANSWERS_MIN = 3                # what waits then is not of an earlier program
 ALIVE_MAX_MISSED = 2               # in a row: after more it may be dead
 STALE_MIN_QUESTIONS = 20           # in a row, each while an answer waited
 
@@ -329,7 +330,8 @@ class UnreadAnswers:
         self._registry.accept_status(device, code, stamp)
         if device.accept_late_reply(stamp, self.late_reply_ns):
             self._evidence.add_incident(stamp, ev.LATE, device.number, ev.Lateness(0))
-        elif before.asks(device, len(data)):
+        elif before.asks(device, len(data)) or (
+                len(self.deferred) < QUESTIONS_KEPT and device.counts.answers > OWN_ANSWERS_MIN):
             self._evidence.add_incident(stamp, ev.SECOND_ANSWER, device.number,
                                 ev.Code(before.request.instruction))
 

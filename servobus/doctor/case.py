@@ -417,8 +417,9 @@ class History:
     def _store_samples(self, case: Case, before: int) -> None:
         for device in case.report.devices:
             values = case.values[device.id]
-            velocity = values.get('Present Velocity')
-            if velocity is not None and speed_of(velocity) > SPEED_AT_REST:
+            is_new = device.id not in self._turned
+            if is_new and 'Present Velocity' in values \
+                    and speed_of(values['Present Velocity']) > SPEED_AT_REST:
                 self._turned.add(device.id)
             if 'Present Position' not in values and 'Present Input Voltage' not in values:
                 if device.id in self._samples:     # it restarted, so they say nothing of now
@@ -426,7 +427,7 @@ class History:
                 continue
             goal, position, tick, voltage = (values.get(name) for name in _SAMPLED)
             samples = self._samples.setdefault(device.id, deque(maxlen=HISTORY_MAX))
-            if samples and position is not None and samples[-1].position is not None \
+            if is_new and samples and position and samples[-1].position is not None \
                     and abs(position.value.raw - samples[-1].position) > STILL_MAX_STEPS:
                 self._turned.add(device.id)
             samples.append(Sample(case.now, goal and goal.value.raw,

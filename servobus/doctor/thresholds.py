@@ -11,3 +11,4 @@ GONE_S = 1.5                       # unanswered for so long: gone, rather than s
 SUPPLY_MIN_DEVICES = 3             # as many have the same trouble: it is their supply
 TURN_STEPS = 4096                  # in models of X and MX (e-Manual)
 STILL_MAX_STEPS = 6                # a joint that holds its place is read within so many
+GOAL_FAR_STEPS = 200               # farther than what holds a joint bends

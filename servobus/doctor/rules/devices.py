@@ -11,7 +11,9 @@ from msg_defs.reports import Level
 from servobus.bus import evidence as ev
 from servobus.bus import report as words
 from servobus.bus.report import DeviceReport
+from servobus.bus.table import Observed
 from servobus.doctor.case import Case
+from servobus.doctor.case import SIGN_BIT
 from servobus.doctor.facts import ALIVE_MIN_VOLTS
 from servobus.doctor.facts import is_off
 from servobus.doctor.facts import is_watched
@@ -27,6 +29,7 @@ from servobus.doctor.rule import Found
 from servobus.doctor.rule import in_full
 from servobus.doctor.rule import listed
 from servobus.doctor.rule import Rule
+from servobus.doctor.thresholds import GOAL_FAR_STEPS
 from servobus.doctor.thresholds import INCIDENTS_MIN
 from servobus.doctor.thresholds import SUPPLY_MIN_DEVICES
 from servobus.doctor.thresholds import TURN_STEPS
@@ -51,6 +54,10 @@ _REMEDIES = {
     'overload': _FREE_IT,
     'current': _FREE_IT}
 _OF_SUPPLY = 'voltage'     # ends the name of the first bit of the 1.0 family where it is alone
+AT_ZERO_MAX = 1                    # as another register reads, or a dead sensor
+ZERO_MIN_REPORTS = 8               # 4 s: a joint goes there, and does not stay through far goals
+TURN_RADIANS = 6.28
+_PLACE = 'Present Position'
 _HEAT = 'Present Temperature', 'Temperature Limit'
 _ERRORS = ('Hardware Error Status', 'Error Code')
 
@@ -231,4 +238,52 @@ def range_wraps(case: Case, device: DeviceReport) -> Found | None:
                  'in the middle of its range', rests_on=('Present Position',))
 
 
-RULES = (hardware_error, watchdog, too_hot, voltage, range_wraps)
+@Rule(symptoms={'proof'},
+      accounts_for={'joint at rest'})
+def impossible_position(case: Case) -> Claims:
+    """
+    A position that cannot be: beyond a turn in spite of its limits, or 0 for all its goals.
+
+    Do: switch its power off and on, calibrate it once; check address and size of the read.
+    """
+    for device in case.report.devices:
+        values = case.values[device.id]
+        if _PLACE not in values:
+            continue
+        place = values[_PLACE]
+        if place.source != 'r' or place.age_s > GOAL_FRESH_S:
+            continue
+        if 0 <= place.value.raw <= AT_ZERO_MAX:
+            yield from _claim_zero(case, device)
+        elif device.model.protocol == 'feetech' and place.value.raw >= TURN_STEPS \
+                and 'Max Position Limit' in values and 'Min Position Limit' in values:
+            yield from _claim_beyond(device, place, values)
+
+
+def _claim_beyond(device: DeviceReport, place: Observed, values: dict[str, Observed]) -> Claims:
+    mode = values.get('Operating Mode')
+    if values['Max Position Limit'].value.raw > values['Min Position Limit'].value.raw \
+            and (mode is None or not mode.value.raw) \
+            and round(TURN_STEPS * (place.field.scale or 0), 2) == TURN_RADIANS:
+        raw = place.value.raw
+        steps = raw if raw < SIGN_BIT else SIGN_BIT - raw
+        yield Claim(f'its position is {steps:.0f}, and within its limits only 0 to '
+                    f'{TURN_STEPS - 1} can be: calibrated twice; switch its power off and on, '
+                    'then write 0 to Homing Offset and calibrate it once',
+                    {'position': f'{steps:.0f}'}, device=device.id, rests_on=(_PLACE,))
+
+
+def _claim_zero(case: Case, device: DeviceReport) -> Claims:
+    samples = [one for one in case.samples.get(device.id, ())
+               if one.position is not None and one.goal is not None]
+    goals = [one.goal for one in samples if one.goal is not None]
+    if len(samples) >= ZERO_MIN_REPORTS and max(goals) - min(goals) >= GOAL_FAR_STEPS \
+            and all(0 <= (one.position or 0) <= AT_ZERO_MAX for one in samples) \
+            and not device.alert and not is_off(case.values[device.id].get('Torque Enable')):
+        yield Claim(f'its position reads {samples[-1].position:.0f} for all its goals: check '
+                    'address and size of that read, and its torque; else its sensor is broken',
+                    {'goals': f'{min(goals):.0f} to {max(goals):.0f}'}, device=device.id,
+                    rests_on=(_PLACE,))
+
+
+RULES = (hardware_error, watchdog, too_hot, voltage, range_wraps, impossible_position)

@@ -18,6 +18,7 @@ from servobus.bus import report as words
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import Incident
 from servobus.bus.table import IDENTITY
+from servobus.bus.table import Observed
 from servobus.bus.unread import HUNG_WAIT_NS
 from servobus.doctor.case import Case
 from servobus.doctor.case import is_waiting
@@ -40,6 +41,7 @@ from servobus.doctor.rule import longer_than
 from servobus.doctor.rule import Rule
 from servobus.doctor.rule import share
 from servobus.doctor.symptom import SILENCE
+from servobus.doctor.thresholds import GOAL_FAR_STEPS
 from servobus.doctor.thresholds import GONE_S
 from servobus.doctor.thresholds import INCIDENTS_MIN
 from servobus.doctor.thresholds import STILL_MAX_STEPS
@@ -54,13 +56,14 @@ ADAPTER_HOLD_US = 20_000           # so long an adapter may hold an answer back 
 LONG_WAIT_MS = 50                  # a time-out that no sound servo and adapter needs
 ACKS_MISSED_LIMIT = 4              # as `missed_limit`
 GOAL_MOVES_STEPS = 20              # a goal that changes less may be held by friction
-GOAL_FAR_STEPS = 200               # farther than what holds a joint bends
 STOPPED_MIN_S = 1.0                # standing still for so long means something
 STILL_MIN_S = 2.5                  # the same where its torque was not read
 FOLLOW_WINDOW_S = 4.0              # samples of so long show whether it follows
 SPEED_MIN = 10                     # units of Goal Velocity; friction may hold less
 VELOCITY_CONTROL = 1               # a value of Operating Mode (e-Manual; Feetech, STS table)
 TURN_ONSET_S = 1.5                 # by then it turns, however it accelerates
+_DECIDES_TURNING = {'Velocity Limit': 'Velocity Limit (a goal beyond it is refused)',
+                    'Torque Enable': 'Torque Enable', 'Operating Mode': 'Operating Mode'}
 _MOTION = 'Present Position', 'Torque Enable'
 _OF_THE_MASTER = ", and that the program uses the servos' baud rate, protocol and ID"
 
@@ -474,13 +477,15 @@ def torque_off(case: Case, device: DeviceReport) -> Found | None:
         return Claim('goals are sent to it, but its torque is off: switch it on '
                      '(Torque Enable 1); after a restart, write all its settings again',
                      rests_on=_MOTION)
+    may_hold = device.id in case.turned and not _absences(case, device)
     if (torque is None or torque.source == 'w') \
             and is_watched(case, device, place) and _is_ignored(
-                [*case.samples[device.id]], 0.1 / (place.field.scale or 0.001)):
+                [*case.samples[device.id]], 0.1 / (place.field.scale or 0.001), may_hold):
         return Claim('goals leave its position on both sides or repeatedly, and it '
                      'does not move: write 1 to Torque Enable, or check its motor and what '
                      'blocks it', rests_on=_MOTION)
-    if torque is not None and torque.value.raw and not _absences(case, device):
+    if may_hold or (
+            torque is not None and torque.value.raw and not _absences(case, device)):
         return None                    # it is on, so something holds it, or it is where it can be
     since = samples[1].stamp
     others = [[one.position for one in _recent_samples(case, other) if one.stamp >= since]
@@ -496,9 +501,9 @@ def torque_off(case: Case, device: DeviceReport) -> Found | None:
                  rests_on=_MOTION)
 
 
-@Rule(onset_s=TURN_ONSET_S, each_device=True,
+@Rule(onset_s=TURN_ONSET_S,
       symptoms={'joint at rest'})
-def wheel_stopped(case: Case, device: DeviceReport) -> Found | None:
+def wheel_stopped(case: Case) -> Claims:
     """
     A velocity is asked for, and it never turns.
 
@@ -506,27 +511,31 @@ def wheel_stopped(case: Case, device: DeviceReport) -> Found | None:
 
     Do: read Velocity Limit, Torque Enable and Operating Mode: a goal beyond the limit is refused.
     """
-    goal, now, limit, torque, mode, place = map(case.values[device.id].get, (
-        'Goal Velocity', 'Present Velocity', 'Velocity Limit', 'Torque Enable', 'Operating Mode',
-        'Goal Position'))
-    if goal is None or now is None or goal.source != 'w' or now.source != 'r' or device.alert \
-            or now.age_s > STOPPED_MIN_S \
+    for device in case.report.devices:
+        values = case.values[device.id]
+        if 'Goal Velocity' in values and 'Present Velocity' in values and not device.alert:
+            yield from _claim_stopped(case, device, values)
+
+
+def _claim_stopped(case: Case, device: DeviceReport, values: dict[str, Observed]) -> Claims:
+    goal, now = values['Goal Velocity'], values['Present Velocity']
+    mode, torque, place = map(values.get, ('Operating Mode', 'Torque Enable', 'Goal Position'))
+    if goal.source != 'w' or now.source != 'r' or now.age_s > STOPPED_MIN_S \
             or speed_of(goal) < SPEED_MIN or speed_of(now) > SPEED_AT_REST:
-        return None
+        return
     if mode.value.raw != VELOCITY_CONTROL if mode is not None else (
             'Profile Velocity' not in device.model.by_name     # else it is that of a motion
             or (place is not None and place.source == 'w')):
-        return None
+        return
     if device.id in case.turned:
-        return Doubt(f'velocity {goal.value.raw} is asked for, and it does not turn any more: '
-                     'blocked, or it holds something', device.id)
-    unread = [name for name, seen in (
-        ('Velocity Limit (a goal beyond it is refused)', limit), ('Torque Enable', torque),
-                                      ('Operating Mode', mode)) if seen is None]
+        yield Doubt(f'velocity {goal.value.raw} is asked for, and it does not turn any more: '
+                    'blocked, or it holds something', device.id)
+        return
+    unread = [words for name, words in _DECIDES_TURNING.items() if name not in values]
     remedy = 'its torque is off: write 1 to Torque Enable' if is_off(torque) else \
         f'read {", ".join(unread)}' if unread else 'check what blocks it, and its supply'
-    return Claim(f'velocity {goal.value.raw} is asked for, and it does not turn: {remedy}',
-                 rests_on=('Present Velocity', 'Goal Velocity'))
+    yield Claim(f'velocity {goal.value.raw} is asked for, and it does not turn: {remedy}',
+                device=device.id, rests_on=('Present Velocity', 'Goal Velocity'))
 
 
 def _does_not_follow(samples: list[Sample]) -> bool:
@@ -557,16 +566,17 @@ def _since_it_moved(samples: list[Sample]) -> list[Sample]:
     return samples[moved[-1] if moved else 0:]
 
 
-def _is_ignored(samples: list[Sample], least: float) -> bool:
+def _is_ignored(samples: list[Sample], least: float, may_hold: bool) -> bool:
     """
     Tell whether no goal moves a joint, on both sides of it, or away from it and back again.
 
-    One that is blocked ignores one side, and what a gripper holds is not let go at each turn.
+    One that is blocked ignores one side, as a gripper does that has closed and holds something.
     """
     ways = [one.goal - one.position for one in samples[1:]
             if one.goal is not None and one.position is not None]
     ends = [abs(one) > least for one in ways if not least / 3 < abs(one) < 3 * least]
-    return _does_not_follow(samples) and (sum(map(ne, ends, ends[1:])) > 2 or min(
+    is_repeated = not may_hold and sum(map(ne, ends, ends[1:])) > 2
+    return _does_not_follow(samples) and (is_repeated or min(
         sum(one > least for one in ways), sum(one < -least for one in ways)) > 1)
 
 

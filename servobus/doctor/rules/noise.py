@@ -387,7 +387,7 @@ def echo(case: Case) -> Claims:
 
 @Rule(level=Level.ERROR, each_device=True,
       symptoms={'second answers'},
-      accounts_for={*DAMAGE, 'damaged first bytes', 'late answers', 'restart'})
+      accounts_for={*DAMAGE, 'damaged first bytes', 'late answers', 'restart', 'unread bytes'})
 def duplicate_id(case: Case, device: DeviceReport) -> Found | None:
     """
     Second answers to one question, bytes after its answers alone, or damage only with this ID.

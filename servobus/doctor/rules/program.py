@@ -23,6 +23,7 @@ from servobus.bus.report import CONNECTED
 from servobus.bus.report import Cycle
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import RATE_REFUSED
+from servobus.bus.table import Observed
 from servobus.doctor.case import Case
 from servobus.doctor.case import Names
 from servobus.doctor.facts import ACCESS_ERROR
@@ -52,7 +53,7 @@ GOALS_BEYOND_MIN = 2               # one may be a slip of a person
 STILL_MIN_REPORTS = 6              # at rest in so many reports: it is not on its way
 WORD = 65_536
 _RATES = 'Velocity', 'Current', 'PWM'
-_POSITION_LIMITS = 'Min Position Limit', 'Max Position Limit'
+_MIN_POSITION, _MAX_POSITION = 'Min Position Limit', 'Max Position Limit'
 EEPROM_WRITES_MIN = 30             # in 10 s: no start-up writes as many
 POLLED_MIN_READS = 20              # from a device that was never written
 POLLED_MIN_S = 3.0                 # by then each is written that will be, and models are known
@@ -62,6 +63,8 @@ ANSWERS_OTHERWISE_S = 2.0          # an answer to something else, so lately: it 
 STOPPED_MIN_S = 1.2
 STOPPED_WARN_S = 10.0              # a shorter pause may be meant
 WORKED_MIN_S = 2.5                 # a program that ran so long has stopped; a command is done
+TWIN_MIN_ANSWERS = 15              # the shares of fewer differ by chance
+TWIN_MIN_FACTOR = 1.5              # two answer twice as often as one
 NO_IDS = (0xFD, 0xFF)
 _NO_ID = ', which no device can have (0 to 252): correct the ID in its program'
 _NO_NAMES = 'so registers have no names and some causes cannot be found'
@@ -100,13 +103,30 @@ def unread_answers(case: Case) -> Claims:
         return
     words = 'each time the program asks, bytes of earlier answers still wait to be read'
     lost = sum(device.window.missed for device in case.report.devices)
-    if case.damage + lost >= INCIDENTS_MIN:
+    twin = _answers_twice(case)
+    if twin is not None:
+        yield Claim(f'{words}, and {twin:03} says twice as much as others: two devices have this '
+                    'ID; unplug one and change the ID of the other',
+                    {'missed or damaged': case.damage + lost}, covers=tuple(case.devices))
+    elif case.damage + lost >= INCIDENTS_MIN:
         yield Claim(f'{words}: it reads too few, or takes old answers for new ones; let it read '
                     'whole answers, and clear its input before it asks',
                     {'missed or damaged': case.damage + lost}, covers=tuple(case.devices))
     else:
         yield Doubt(f'{words}: if it takes those for the new ones, let it clear its input before '
                     'it asks')
+
+
+def _answers_twice(case: Case) -> int | None:
+    """Return the ID of which whole answers in the noise are too many for the questions to it."""
+    seen = Counter(one.device for one in case.incidents(ev.PROTOCOL_1))
+    shares = []
+    for number, times in seen.items():
+        asked = sum(cycle.asked for cycle in case.report.cycles if cycle.ids == (number,))
+        shares.append((times / asked if asked else 0.0, number))
+    shares.sort()
+    return shares[-1][1] if len(shares) > 1 and seen[shares[-1][1]] >= TWIN_MIN_ANSWERS \
+        and shares[-1][0] > TWIN_MIN_FACTOR * shares[-2][0] > 0 else None
 
 
 @Rule(subject='bus', level=Level.ERROR,
@@ -263,6 +283,18 @@ def goal_limits(case: Case, device: DeviceReport) -> Found | None:
 
     Do: limit the goals, or set wider limits.
     """
+    refusal = _value_refused(case, device) if ev.REFUSED in case.incidents_by_kind else None
+    if refusal is not None:
+        return refusal
+    values = case.values[device.id]
+    for name in _RATES:
+        if f'Goal {name}' in values and f'{name} Limit' in values \
+                and (beyond := _rate_beyond(name, values)):
+            return beyond
+    return _position_beyond(case, device) if 'Goal Position' in values else None
+
+
+def _value_refused(case: Case, device: DeviceReport) -> Found | None:
     found = Counter(one.detail.address for one in case.incidents(ev.REFUSED, device)
                     if one.detail.error == LIMIT_ERROR and one.detail.instruction in SINGLE_WRITES)
     for address, count in found.most_common(1):
@@ -272,24 +304,21 @@ def goal_limits(case: Case, device: DeviceReport) -> Found | None:
             return Claim(f'value for {name} refused, beyond its limits: keep goals '
                          'within these, or set wider ones (as Max Position Limit)',
                          {'refused': count})
-    return _rate_beyond(case, device) or _position_beyond(case, device)
-
-
-def _rate_beyond(case: Case, device: DeviceReport) -> Found | None:
-    """Look for a velocity, current or PWM beyond its limit; nothing answers a Sync Write."""
-    values = case.values[device.id]
-    for name in _RATES if device.model.protocol == '2' else ():
-        goal, limit = values.get(f'Goal {name}'), values.get(f'{name} Limit')
-        if goal is None or limit is None or goal.source != 'w' or not limit.value.raw \
-                or abs(goal.value.raw) <= limit.value.raw \
-                or (limit.source == 'w' and limit.age_s < goal.age_s):     # it was wider then
-            continue
-        most = limit.value.raw
-        return Claim(f'Goal {name} {goal.value.raw} is beyond its {name} Limit of {most}, so it '
-                     f'is refused{_meant(goal.field, goal.value.raw, -most, most)}: send less, '
-                     'or set a wider limit',
-                     rests_on=(f'Goal {name}', f'{name} Limit'))
     return None
+
+
+def _rate_beyond(name: str, values: dict[str, Observed]) -> Found | None:
+    """Look for a velocity, current or PWM beyond its limit; nothing answers a Sync Write."""
+    goal, limit = values[f'Goal {name}'], values[f'{name} Limit']
+    if goal.source != 'w' or not limit.value.raw \
+            or abs(goal.value.raw) <= limit.value.raw \
+            or (limit.source == 'w' and limit.age_s < goal.age_s):     # it was wider then
+        return None
+    most = limit.value.raw
+    return Claim(f'Goal {name} {goal.value.raw} is beyond its {name} Limit of {most}, so it '
+                 f'is refused{_meant(goal.field, goal.value.raw, -most, most)}: send less, '
+                 'or set a wider limit',
+                 rests_on=(f'Goal {name}', f'{name} Limit'))
 
 
 def _meant(field: Field, raw: float, low: float, high: float) -> str:
@@ -303,19 +332,20 @@ def _meant(field: Field, raw: float, low: float, high: float) -> str:
 
 def _position_beyond(case: Case, device: DeviceReport) -> Found | None:
     """Look for goals beyond the limits, or beyond a turn."""
-    goal, mode = map(case.values[device.id].get, ('Goal Position', 'Operating Mode'))
-    is_feetech = device.model.protocol == FEETECH.protocol
-    if goal is None or goal.source != 'w' or (mode is not None and mode.value.raw != (
+    values = case.values[device.id]
+    goal, is_feetech = values['Goal Position'], device.model.protocol == FEETECH.protocol
+    has_mode = 'Operating Mode' in values
+    if goal.source != 'w' or (has_mode and values['Operating Mode'].value.raw != (
             0 if is_feetech else POSITION_CONTROL)):
         return None
-    low, high = (one.value.raw if one is not None else 0 for one in map(
-        case.values[device.id].get, _POSITION_LIMITS))
-    if low < high and (is_feetech or (mode is not None and high - low < TURN_STEPS - 1)):
-        return _goals_held_back(case, device, low, high)
-    if round(TURN_STEPS * (goal.field.scale or 0), 2) != 6.28 or device.model.protocol == '1' \
-            or (is_feetech and _POSITION_LIMITS[0] in case.values[device.id]):
+    if _MIN_POSITION in values and _MAX_POSITION in values:
+        low, high = values[_MIN_POSITION].value.raw, values[_MAX_POSITION].value.raw
+        if low < high and (is_feetech or (has_mode and high - low < TURN_STEPS - 1)):
+            return _goals_held_back(case, device, low, high)
+    if device.model.protocol == '1' or (is_feetech and _MIN_POSITION in values) \
+            or round(TURN_STEPS * (goal.field.scale or 0), 2) != 6.28:
         return None                            # Feetech: both are 0 where it has none
-    return _goals_beyond_a_turn(case, device, goal.field, mode is not None)
+    return _goals_beyond_a_turn(case, device, goal.field, has_mode)
 
 
 def _goals_held_back(case: Case, device: DeviceReport, low: float,
@@ -331,7 +361,7 @@ def _goals_held_back(case: Case, device: DeviceReport, low: float,
     return Claim(f'goals beyond its limits of {low} to {high} are sent'
                  f'{_meant(field, farthest, low, high)}: {effect}; keep goals within them, or '
                  'set wider ones (Min and Max Position Limit)', {'the farthest': farthest},
-                 rests_on=('Goal Position', *_POSITION_LIMITS))
+                 rests_on=('Goal Position', _MIN_POSITION, _MAX_POSITION))
 
 
 def _goals_beyond_a_turn(case: Case, device: DeviceReport, field: Field,
@@ -339,6 +369,8 @@ def _goals_beyond_a_turn(case: Case, device: DeviceReport, field: Field,
     """Look for goals beyond a turn, where no limits are known and it does not go there."""
     samples = case.samples.get(device.id, ())
     beyond = [one for one in samples if one.goal is not None and not 0 <= one.goal < TURN_STEPS]
+    if len(beyond) < GOALS_BEYOND_MIN:
+        return None
     places = [one.position for one in beyond if one.position is not None]
     still = sum(0 <= two < TURN_STEPS and abs(one - two) <= STILL_MAX_STEPS
                 for one, two in pairwise(places))
@@ -349,8 +381,7 @@ def _goals_beyond_a_turn(case: Case, device: DeviceReport, field: Field,
     moved_before = still >= GOALS_BEYOND_MIN \
         and not {*places}.issuperset(one.position for one in samples)
     # In another mode, or without limits, it would go there.
-    if len(beyond) < GOALS_BEYOND_MIN or not (
-            is_at_rest or moved_before or (is_certain and not is_feetech)):
+    if not (is_at_rest or moved_before or (is_certain and not is_feetech)):
         return None
     remedy = 'keep them within, and read Min and Max Position Limit' if is_feetech else \
         'keep them within, or set Extended Position Control Mode' if is_certain or moved_before \
@@ -458,17 +489,25 @@ def models(case: Case) -> Claims:
     found: dict[str, list[int]] = {}
     for device in case.report.devices:
         if device.model.number is None and device.last_heard_s is not None:
-            found.setdefault(_registers(device, _NO_NAMES), []).append(device.id)
+            found.setdefault(_what_is_unknown(device, case.names), []).append(device.id)
     if found and case.heard_s >= POLLED_MIN_S:
-        known = '; '.join(f'{listed(ids, 3)}: model not known, {registers}'
-                          for registers, ids in found.items())
-        yield Doubt(f'{known}; add ID:MODEL to {case.names.devices}, or let your program '
-                    'ping the servos')
+        yield Doubt('; '.join(f'{listed(ids, 3)}: {words}' for words, ids in found.items()))
+
+
+def _what_is_unknown(device: DeviceReport, names: Names) -> str:
+    if device.model_number is not None:
+        return f'model {device.model_number} has no model file: add one to {names.folders}'
+    return (f'model not known, {_registers(device, _NO_NAMES)}; add ID:MODEL to {names.devices}, '
+            'or let your program ping the servos')
 
 
 def _registers(device: DeviceReport, none: str) -> str:
-    return none if device.model is UNKNOWN \
-        else f'registers as in {device.model.name}, by what the program uses'
+    model = device.model
+    if model is UNKNOWN:
+        return none
+    shared = f'that {model.name} share' if ' and ' in model.name \
+        else f'as in {model.name}'
+    return f'registers {shared}, by what the program uses'
 
 
 def with_models_named(report: BusReport, names: Names) -> BusReport:
@@ -498,8 +537,8 @@ def eeprom_wear(case: Case, device: DeviceReport) -> Found | None:
     Do: write only what changes.
     """
     count = device.window.eeprom_writes
-    if count < EEPROM_WRITES_MIN:
-        return None
+    if count < EEPROM_WRITES_MIN or device.id in case.gone:
+        return None                            # what is silent takes no writes
     hours = 100_000 / (count / 10) / 3600
     return Claim(f'EEPROM written {count} times in 10 s: it lasts about 100 000 '
                  f'writes, {hours:.1f} hours at this rate; write only what changes',
@@ -639,10 +678,9 @@ def _answer_single_reads(case: Case, cycle: Cycle) -> bool:
         and not one.model_name.startswith(HAVE_SYNC_READ) for one in members)
 
 
-@Rule(needs_incident=(ev.MISSED,),
-      symptoms={'unanswered group reads'},
+@Rule(symptoms={'unanswered group reads'},
       accounts_for={*SILENCE, 'silent bus', 'absence', 'absence of several', 'slow cycle'})
-def group_read_unanswered(case: Case, device: DeviceReport) -> Found | None:
+def group_read_unanswered(case: Case) -> Claims:
     """
     Answers single instructions all the time, and never one Sync Read or Bulk Read.
 
@@ -650,23 +688,38 @@ def group_read_unanswered(case: Case, device: DeviceReport) -> Found | None:
 
     Do: read it by single Reads; update its firmware, or let it hear the one before it.
     """
-    missed = Counter(one.detail for one in case.incidents(ev.MISSED, device))
-    [(what, count)] = missed.most_common(1)
-    cycle = next((one for one in case.report.cycles if device.id in one.ids and (
-        one.instruction, one.address) == what and one.missed >= one.asked - 1), None)
-    others = device.window.answers - device.window.pongs
-    if cycle is None or cycle.instruction not in GROUP_READS or _may_come_late(case, device) \
-            or min(count, others) < GROUP_READS_MIN \
-            or count < MISSED_ALIKE_MIN_SHARE * missed.total() \
-            or device.totals.missed < MISSED_ALIKE_MIN_SHARE * cycle.missed:
-        return None
+    for cycle in case.report.cycles:
+        if cycle.instruction not in GROUP_READS or cycle.missed < GROUP_READS_MIN \
+                or cycle.missed < cycle.asked - 1:
+            continue
+        for device in case.report.devices:
+            if device.id in cycle.ids \
+                    and device.totals.missed >= MISSED_ALIKE_MIN_SHARE * cycle.missed \
+                    and device.window.answers - device.window.pongs >= GROUP_READS_MIN \
+                    and _is_lost_there_only(case, cycle, device):
+                yield _claim_unanswered(cycle, device)
+
+
+def _is_lost_there_only(case: Case, cycle: Cycle, device: DeviceReport) -> bool:
+    """Tell whether a device is lost in this instruction, and in no other one."""
+    if _may_come_late(case, device):
+        return False
+    missed = case.incidents(ev.MISSED, device)
+    alike = sum((one.detail.instruction, one.detail.address) == (cycle.instruction, cycle.address)
+                for one in missed)
+    return alike >= max(GROUP_READS_MIN, MISSED_ALIKE_MIN_SHARE * len(missed))
+
+
+def _claim_unanswered(cycle: Cycle, device: DeviceReport) -> Claim:
     name, at = name_of(cycle.instruction), cycle.ids.index(device.id)
     before = f'{cycle.ids[at - 1]:03}' if at else ''
     place = f' (it is after {before})' if at else ''
     remedy = f'let it hear the status of {before}' if at else 'update its firmware'
     return Claim(f'answers single instructions and never the {name} of {listed(cycle.ids, 3)}'
                  f'{place}: no plug does that; read it by single Reads, or {remedy}',
-                 {name: cycle.asked, 'other answers in 10 s': others}, covers=cycle.ids[at + 1:])
+                 {name: cycle.asked,
+                  'other answers in 10 s': device.window.answers - device.window.pongs},
+                 covers=cycle.ids[at + 1:], device=device.id)
 
 
 def _may_come_late(case: Case, device: DeviceReport) -> bool:

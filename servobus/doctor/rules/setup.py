@@ -48,7 +48,8 @@ _OTHER_SERIES = {30: 'Goal Position of AX and MX', 36: 'Present Position of AX a
 @Rule(level=Level.ERROR,
       symptoms={'second answers', 'silent device'},
       accounts_for={*SILENCE, *DAMAGE, 'second answers', 'silent bus', 'damaged first bytes',
-                    'unasked answers', 'wrong length', 'late answers', 'slow cycle'})
+                    'unasked answers', 'wrong length', 'late answers', 'slow cycle',
+                    'unread bytes'})
 def factory_id(case: Case) -> Claims:
     """
     Several new servos have ID 1.
