@@ -368,7 +368,9 @@ def echo(case: Case) -> Claims:
                 case.report.counters['Instructions']
         if heard_back >= least and heard_back > ECHO_MIN_SHARE * asked:
             yield Claim('the master receives what it sends: its adapter echoes; switch the '
-                        'echo off, or let the program skip it', {'echoes': heard_back})
+                        'echo off, or let the program skip it', {'echoes': heard_back},
+                        None if any(one.window.answers for one in case.report.devices)
+                        else Level.ERROR)
         return
     again = [one for one in case.incidents(ev.REPEATED) if one.detail.us < ECHO_MAX_US]
     answered = sum(cycle.asked > 0 for cycle in case.report.cycles)
@@ -646,5 +648,5 @@ def stray_bytes(case: Case) -> Claims:
                     {}, Level.WARN)
 
 
-RULES = (text, wrong_baud, overrun, baud_moved, id_moved, protocol_1, unknown_instruction, echo,
+RULES = (echo, text, wrong_baud, overrun, baud_moved, id_moved, protocol_1, unknown_instruction,
     duplicate_id, foreign_answers, turnaround, noise, damaged_answers, not_sent, stray_bytes)
