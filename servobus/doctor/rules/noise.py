@@ -189,10 +189,10 @@ def text(case: Case) -> Claims:
                     'disable --now serial-getty@PORT)')
     elif goes_on:
         yield Claim(f'{seen}: the board runs firmware of its own and passes nothing on to the '
-                    'servos; switch it to pass-through, or use another adapter')
+                    'servos; switch it to pass-through')
     elif case.report.failed:
-        yield Claim(f'{seen}, so the board was starting, or passes nothing on: wait 2 s after '
-                    'opening the port; if text still comes, switch the board to pass-through',
+        yield Claim(f'{seen} while the board starts: wait 2 s after opening the port; if text '
+                    'still comes then, switch the board to pass-through',
                     {}, Level.WARN)
     else:
         yield Doubt(f'{seen} at first: if servos with power do not answer later, the board passes '
