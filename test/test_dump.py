@@ -587,3 +587,11 @@ def test_each_write_shows_its_own_data(code, front, dialect):
     feed = b''.join(make(number, code, bytes.fromhex(front) + one) for one in data)
     shown = objects('-', '--protocol', dialect, feed=feed)
     assert [one['registers'][0]['data'] for one in shown] == [one.hex() for one in data]
+
+
+def test_what_an_adapter_read_is_shown_for_each_servo():
+    said = [dxl1_packet.encode(254, 0x84, b'\x24\2\1\2\3'),
+            dxl1_packet.encode(254, 0, b'\1\2\xff\xff\3\4')]
+    lines = dump('-', '--devices', '1-3:MX-28(1.0)', feed=b''.join(said * 3)).splitlines()
+    assert lines[0].endswith('Sync Read by the adapter 1-3: Present Position (2 at 36)')
+    assert lines[1].endswith('Present Position (rad)  1: -2.35466, 3: -1.56619')

@@ -361,3 +361,14 @@ def test_a_program_that_waits_for_ever_names_the_device(last, seconds, found):
     bus.wait(seconds)
     bus.monitor.end(bus.now)
     assert [one.device for one in bus.report().findings if one.level is Level.ERROR] == found
+
+
+@pytest.mark.parametrize(('heard_once', 'says'), [
+    (b'ets Jul 29 2019 12:21:46\r\n', 'text, but no packet: `ets Jul 29 2019 12:21:46`'),
+    (bytes(range(128, 160)), 'bytes, but no packet: set `bauds`')])
+def test_text_without_a_packet_is_no_wrong_rate(heard_once, says):
+    bus = Bus()
+    bus.hear(heard_once)
+    bus.wait(2)
+    bus.monitor.flush_if_idle(bus.now)
+    assert bus.report().message.startswith(says)

@@ -292,8 +292,5 @@ class BusDecoder:
 
     @property
     def noise(self) -> bytes:
-        """The last bytes that were no packet: what came to the master, or where most were."""
-        received = self.framers.get(IN)
-        if received is not None and received.noise_bytes:
-            return received.noise
+        """The last bytes that were no packet: of the side that heard most of them."""
         return max(self.framers.values(), key=attrgetter('noise_bytes')).noise

@@ -9,6 +9,9 @@ from servobus.bus.evidence import Evidence
 
 PING_BYTES = 6                         # bytes: a Ping of the 1.0 family may be a status as well,
 READ_BYTES = 8  # and a Read that nothing follows, but not two different ones
+HEAD_BYTES = 5                         # header, ID, Length, instruction of the 1.0 family
+_READ, _LENGTH_AT, _SIZE_AT = 2, 3, 6    # a Read of 2 bytes and its answer have one Length
+_RESERVED = 0xFD                       # Protocol 2.0, where an answer begins as an instruction
 WRITES_KEPT = 64                          # writes of which nothing came back yet
 RECEIVED_KEPT_BYTES = 4096                        # bytes received since
 
@@ -55,17 +58,27 @@ class EchoCounter:
         """Note that the master throws so many bytes away; is_due: answers may be there."""
         if not (is_due or self._came) and 0 < waiting == sum(map(len, self._sent)):
             self._count_echoes(len(self._sent))       # nothing else may come
-        self._restart()
+        self._restart(waiting)
 
-    def _restart(self) -> None:
+    def _restart(self, waiting: int = 0) -> None:
         """Begin again; the first write may have come back as far as it was read."""
         sent = self._sent[0] if self._sent else b''
         if sent[:PING_BYTES] in self._came:        # an answer mostly holds none of it
             self._count_echoes(any(self._came.endswith(sent[:size])
                             for size in range(PING_BYTES, len(sent))))
+        elif self._came == sent[:HEAD_BYTES] and sent[2] != _RESERVED:
+            self._count_echoes(waiting > len(sent) - HEAD_BYTES or not _begins_answer(sent))
         self._sent.clear()
         self._came = b''
 
     def _count_echoes(self, writes: int) -> None:
         if writes:                     # a kind that did not occur has no count
             self._counts[ev.ECHO] += writes
+
+
+def _begins_answer(sent: bytes) -> bool:
+    """Tell whether the answer may begin as the instruction: of the same Length, with an error."""
+    if len(sent) <= _SIZE_AT:
+        return True                    # a Ping
+    length = sent[_SIZE_AT] + 2 if sent[HEAD_BYTES - 1] == _READ else 2
+    return sent[_LENGTH_AT] == length

@@ -21,6 +21,7 @@ from servobus.bus.report import DeviceReport
 from servobus.doctor.case import Names
 from servobus.doctor.facts import is_rate_search
 from servobus.doctor.rules.devices import latched_error
+from servobus.doctor.rules.noise import first_words
 from servobus.doctor.rules.noise import NO_PACKETS
 
 _DAMAGED_WARN_PER_S = 1.0
@@ -88,7 +89,9 @@ def _bus(bus: BusReport, devices: Sequence[DeviceReport], names: Names) -> tuple
     if not bus.counters['Bytes'] and bus.last_byte_s is None:
         return Level.STALE, 'nothing heard yet'
     if not bus.counters['Packets'] and bus.is_answered:
-        return Level.WARN, NO_PACKETS.format(bauds=names.bauds)
+        text = first_words(bus.noise)
+        return Level.WARN, f'text, but no packet: `{text}`' if text \
+            else NO_PACKETS.format(bauds=names.bauds)
     connected = sum(device.state == words.CONNECTED for device in devices)
     lost = [device.name for device in devices if device.state in _LOST]
     message = (f'none of {len(devices)} devices answers' if lost and not connected

@@ -193,10 +193,10 @@ def text(case: Case) -> Claims:
                     'disable --now serial-getty@PORT)')
     elif goes_on:
         yield Claim(f'{seen}: the board runs firmware of its own and passes nothing on to the '
-                    'servos; switch it to pass-through, or use another adapter')
+                    'servos; switch it to pass-through')
     elif case.report.failed:
-        yield Claim(f'{seen}, so the board was starting, or passes nothing on: wait 2 s after '
-                    'opening the port; if text still comes, switch the board to pass-through',
+        yield Claim(f'{seen} while the board starts: wait 2 s after opening the port; if text '
+                    'still comes then, switch the board to pass-through',
                     {}, Level.WARN)
     else:
         yield Doubt(f'{seen} at first: if servos with power do not answer later, the board passes '
@@ -372,7 +372,9 @@ def echo(case: Case) -> Claims:
                 case.report.counters['Instructions']
         if heard_back >= least and heard_back > ECHO_MIN_SHARE * asked:
             yield Claim('the master receives what it sends: its adapter echoes; switch the '
-                        'echo off, or let the program skip it', {'echoes': heard_back})
+                        'echo off, or let the program skip it', {'echoes': heard_back},
+                        None if any(one.window.answers for one in case.report.devices)
+                        else Level.ERROR)
         return
     again = [one for one in case.incidents(ev.REPEATED) if one.detail.us < ECHO_MAX_US]
     answered = sum(cycle.asked > 0 for cycle in case.report.cycles)
@@ -658,5 +660,5 @@ def stray_bytes(case: Case) -> Claims:
                     {}, Level.WARN)
 
 
-RULES = (text, wrong_baud, overrun, baud_moved, id_moved, protocol_1, unknown_instruction, echo,
+RULES = (echo, text, wrong_baud, overrun, baud_moved, id_moved, protocol_1, unknown_instruction,
     duplicate_id, foreign_answers, turnaround, noise, damaged_answers, not_sent, stray_bytes)

@@ -24,6 +24,7 @@ from servobus.bus.report import Cycle
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import RATE_REFUSED
 from servobus.bus.table import Observed
+from servobus.doctor.bad_packets import repeated_bad_packet
 from servobus.doctor.case import Case
 from servobus.doctor.case import Names
 from servobus.doctor.facts import ACCESS_ERROR
@@ -151,13 +152,18 @@ def wrong_packets(case: Case) -> Claims:
     """
     Packets of the program with a wrong checksum, CRC or Length, or nothing that is a packet.
 
-    Needs a source that knows who sent what.
+    Needs a source that knows who sent what, unless each packet is wrong in the same way.
 
     Do: correct the program.
     """
     report, wrong = case.report, case.incidents(ev.WRONG_PACKET)
     sent = report.counters['Bytes']
-    if len(wrong) >= INCIDENTS_MIN:
+    if (bad := repeated_bad_packet(case)) is not None:
+        whom = '' if bad.id == BROADCAST else f' to {bad.id:03}'
+        yield Claim(f'each {name_of(bad.instruction)}{whom} has the wrong {bad.field}, {bad.got}, '
+                    f'right is {bad.right}: no servo takes it; correct the program',
+                    {'noise (bytes)': report.counters['Noise Bytes']})
+    elif len(wrong) >= INCIDENTS_MIN:
         most = Counter((one.detail.instruction, one.device) for one in wrong)
         [((code, number), _)] = most.most_common(1)
         yield Claim(f'the master asks ID {number}{_NO_ID}' if number == NO_IDS[1] else
