@@ -25,12 +25,13 @@ UNREAD = 'unread'                  # bytes that the master had received and not 
 GAVE_UP = 'gave_up_us'             # the master looked in vain so long before it wrote or closed
 BUSY = 'busy_us'                   # CPU time of the master's thread in the pause before it wrote
 AWAY = 'away_us'                   # what follows was there: the master did not look for so long
+LINE_MODE = 'line_mode'            # 1: the driver holds what comes until a line ends (ICANON)
 TRACED = 'traced_us'               # what strace took since the master wrote before
 LOST = 'lost'                      # events or bytes that the source itself lost
 CLOSED = 'closed'                  # the master closed its port
 GONE = 'unplugged'
 CHANGES = (BAUD, LATENCY_TIMER, DTR, RTS, PURGED, OVERRUN, PARITY, FRAMING, BREAK, NOT_SENT,
-           UNREAD, GAVE_UP, AWAY, BUSY, TRACED, LOST, CLOSED, GONE)
+           UNREAD, GAVE_UP, AWAY, BUSY, LINE_MODE, TRACED, LOST, CLOSED, GONE)
 
 
 class Change(NamedTuple):

@@ -37,6 +37,7 @@ from msg_defs.uart import byte_ns
 from msg_defs.uart import heard_at
 from servobus.bus.report import FAILED
 from servobus.bus.report import RAISED
+from servobus.bus.report import RATE_REFUSED
 from servobus.doctor import RULES
 from servobus.examination import Examination
 from servobus.model.models import Models
@@ -431,6 +432,18 @@ def test_an_error_that_any_program_may_raise_is_not_one_of_the_bus():
     error = 'IndexError: list index out of range'
     assert Ending(code=1, error=error).failed == FAILED
     assert Ending(code=1, error=error, packages=frozenset({'dynamixel_sdk'})).failed == RAISED
+
+
+@pytest.mark.parametrize(('error', 'failed'), [
+    ("error: (22, 'Invalid argument')", RATE_REFUSED),
+    ('ValueError: Failed to set custom baud rate (250000): [Errno 22]', RATE_REFUSED),
+    ('ValueError: Invalid baud rate: 250000', RATE_REFUSED),
+    ("error: (5, 'Input/output error')", RAISED),
+    ("OSError: [Errno 22] Invalid argument: 'log.txt'", FAILED),
+    ('ValueError: invalid literal', FAILED)])
+def test_a_rate_that_the_driver_refuses_is_told_from_other_errors(error, failed):
+    packages = frozenset({'serial'} if failed is RAISED else ())
+    assert Ending(code=1, error=error, packages=packages).failed == failed
 
 
 def test_a_text_that_is_not_known_is_one_line():

@@ -20,6 +20,7 @@ from servobus.tools.doctor.answer_screen import screen
 from servobus.tools.doctor.verdict import as_json
 from servobus.tools.doctor.verdict import ERROR
 from servobus.tools.doctor.verdict import make_verdict
+from servobus.tools.doctor.verdict import Trouble
 from servobus.tools.doctor.verdict import WARNING
 from servobus.tools.doctor.verdict import WELL
 
@@ -77,6 +78,8 @@ OPEN = [
     (heard(used(0), counters={'Noise Bytes': 500}), None,
      '500 of 10000 bytes are no packet: packets that are wrong, text, or another baud rate now '
      'and then', 'look at them: `dxl_dump PORT`'),
+    (heard(used(0), level=Level.WARN, message='2 damaged packets per second'), None,
+     '2 damaged packets per second', 'listen for longer'),
 ]
 SOUND = [
     heard(used(0)), heard(used(2)), heard(used(3, 1000)),       # as few are lost on a sound bus
@@ -153,6 +156,17 @@ def test_what_a_warning_accounts_for_is_no_doubt_any_more():
     foreign = Finding('foreign_answers', Level.WARN, 3, 'another master')
     verdict = verdict_of(heard(used(0), doubts=(OVERLAP,)), foreign)
     assert (verdict.code, verdict.not_sure, len(verdict.unknown)) == (WARNING, (), 1)
+
+
+@pytest.mark.parametrize(('findings', 'is_open'), [
+    ((), True), ((Finding('stray_bytes', Level.OK, None, 'advice'),), True),
+    ((Finding('dropout', Level.WARN, 1, 'no answers'),), False)])
+def test_an_error_of_a_servo_library_that_nothing_accounts_for_has_a_step(findings, is_open):
+    error = Trouble(Level.WARN, 'the program', '', 'it ended with KeyError: 3', '')
+    logged = tuple(LoggedFinding(one, 0.0, 1.0, True) for one in findings)
+    verdict = make_verdict('x', [BusSummary('', heard(used(0)), logged)], 10, True, ended=error)
+    assert [one.who for one in verdict.not_sure] == ['the program'] * is_open
+    assert error in verdict.wrong and verdict.code == WARNING
 
 
 @pytest.mark.parametrize('width', [40, 80])

@@ -22,6 +22,7 @@ from msg_defs.event import GAVE_UP
 from msg_defs.event import GONE
 from msg_defs.event import IN
 from msg_defs.event import LATENCY_TIMER
+from msg_defs.event import LINE_MODE
 from msg_defs.event import LOST
 from msg_defs.event import NOT_SENT
 from msg_defs.event import OUT
@@ -83,6 +84,7 @@ class BusDecoder:
         self.evidence = Evidence()
         self.echo = EchoCounter(self.evidence)
         self.clock = CycleClock()
+        self.is_line_mode = False
         self.registry = DeviceRegistry(models, settings.devices, settings.baud, self.evidence)
         self.choice = DialectChoice(models, settings.protocol)
         self.choice.vote_by_devices(device.dialect for device in self.registry.devices.values())
@@ -228,6 +230,8 @@ class BusDecoder:
                 self.tracker.unread.report_unsent(self.tracker.asked, stamp)
         elif what == GAVE_UP:
             self.tracker.unread.report_vain_read(stamp - 1000 * value)
+        elif what == LINE_MODE:
+            self.is_line_mode = bool(value)
         elif what == AWAY:
             self.tracker.discount_latency(value, stamp)
         elif what in (CLOSED, GONE, LOST):

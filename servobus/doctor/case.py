@@ -147,7 +147,8 @@ class Case:
 
     def count(self, kind: IncidentKind[Any], device: DeviceReport | None = None) -> int:
         """Return how many incidents of a kind there were in the window."""
-        return len(self.incidents(kind, device))
+        return len(self.incidents_by_kind.get(kind, ()) if device is None
+                   else self.incidents(kind, device))
 
     @cached_property
     def _by_device(self) -> defaultdict[tuple[str, int], list[Incident[Any]]]:

@@ -59,6 +59,9 @@ def open_symptoms(report: BusReport, found: Sequence[Finding]) -> list[Finding]:
         return []
     left = [Finding('', Level.WARN, one.device, f'{one.seen}: {one.causes}', step=one.step)
             for one in _symptoms(report) if not any(_accounts_for(cause, one) for cause in found)]
+    if not (left or found) and report.level is Level.WARN:
+        return [Finding('', Level.WARN, None, report.message, step='listen for longer '
+                        '(`--seconds 60`): what comes again has a cause that shows')]
     return [one for one in left if one.device is not None] or left
 
 

@@ -26,7 +26,7 @@ from servobus.doctor.symptom import Symptom
 
 ANSWER = 'answer'                  # for `rests_on`: the last answer to any instruction
 FAMILY_1 = ('1', 'feetech')        # as model files call the protocols of the 1.0 family
-PORT = 'PORT'                      # in a step: the port, whose name the reader of a report has
+PORT = 'PORT'                      # in a step: the port, where its name is put in
 STOP_OTHERS = f'stop all other programs (`fuser -v {PORT}`) and listen again'
 
 

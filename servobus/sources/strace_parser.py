@@ -25,6 +25,7 @@ from msg_defs.event import CLOSED
 from msg_defs.event import DTR
 from msg_defs.event import GAVE_UP
 from msg_defs.event import IN
+from msg_defs.event import LINE_MODE
 from msg_defs.event import LOST
 from msg_defs.event import OUT
 from msg_defs.event import PURGED
@@ -59,6 +60,7 @@ _FD = re.compile(rb'(\d+)<((?:\\x[0-9a-f]{2})+)>')
 _STRING = re.compile(rb'"((?:\\x[0-9a-f]{2})*)"')
 _UNFINISHED = b' <unfinished ...>'
 _CFLAG = re.compile(rb'c_cflags?=(0x[0-9a-f]+)')        # the rate, or all flags
+_LFLAG = re.compile(rb'c_lflags?=(0x[0-9a-f]+)')
 _OSPEED = re.compile(rb'c_ospeed=(\d+)')
 _RATES = {getattr(termios, name): int(name[1:]) for name in dir(termios)
           if re.fullmatch(r'B[1-9]\d*', name)}
@@ -94,6 +96,7 @@ class StraceParser:
         self._processes: dict[int, int] = {}                   # by thread
         self._holders: dict[str, set[tuple[int, int]]] = {}    # by port: process, descriptor
         self._rates: dict[str, int] = {}                       # by port, not said yet
+        self._line_mode: set[str] = set()                      # ports
         self._odd_rates: set[str] = set()                      # ports with a divisor of their own
         self._unfinished: dict[int, bytes] = {}                # a call by thread
         self._looked: dict[str, tuple[int, int]] = {}          # by port: for bytes, when, result
@@ -238,6 +241,7 @@ class StraceParser:
                 self._rates[port] = rate
             if request not in _ASKED:          # else the program may be about to change it
                 yield from self._rate(port, stamp)
+            yield from self._find_line_mode(port, argument, stamp)
         if request in _SET_AND_FLUSH:
             yield PortEvent(stamp, port, PURGED, value=1)
         elif request == _TCFLSH:
@@ -253,6 +257,13 @@ class StraceParser:
                 value = _MODEM[request][0 if listed & bit else 1]
                 if value is not None:
                     yield PortEvent(stamp, port, what, value=value)
+
+    def _find_line_mode(self, port: str, settings: bytes, stamp: int) -> PortEvents:
+        flags = _LFLAG.search(settings)
+        if flags and (is_on := bool(int(flags[1], 16) & termios.ICANON)) != (
+                port in self._line_mode):
+            self._line_mode ^= {port}
+            yield PortEvent(stamp, port, LINE_MODE, value=int(is_on))
 
     def _rate(self, port: str, stamp: int) -> PortEvents:
         """Say the rate that a port has by now."""

@@ -40,7 +40,8 @@ SUFFIX = '.tap'                            # ends the name of a listener's socke
 HEAD = struct.Struct('<BHqI')
 OPENED, ENDED = 'opened', 'ended'
 KINDS = ('hello', OPENED, 'closed', 'out', 'in', 'baud', 'purged', 'not_sent', 'lost', 'unread',
-         ENDED, 'dtr', 'rts', 'gave_up_us', 'traced_us', 'away_us', 'busy_us')
+         ENDED, 'dtr', 'rts', 'gave_up_us', 'traced_us', 'away_us', 'busy_us',
+         'line_mode')
 NUMBER = struct.Struct('<q')               # what follows the others
 
 QUEUED_RECORDS_MAX = 20_000                # records that wait for the thread

@@ -147,6 +147,28 @@ def rate_refused(case: Case) -> Claims:
 
 @Rule(subject='bus', level=Level.ERROR,
       symptoms={'proof'},
+      accounts_for={*SILENCE, *DAMAGE, 'silent bus', 'late answers', 'no acknowledgements',
+                    'echo', 'unread bytes', 'wrong length', 'slow cycle'})
+def line_mode(case: Case) -> Claims:
+    """
+    Answers are missed or damaged, and the program's port is in line mode (ICANON).
+
+    Only strace sees that.
+
+    Do: set the port to raw before the first question.
+    """
+    if not case.report.is_line_mode:
+        return
+    lost = sum(device.totals.missed for device in case.report.devices)
+    if lost + case.damage >= (1 if case.report.failed else INCIDENTS_MIN):
+        yield Claim('the port is in line mode (ICANON): its driver holds the answers until a byte '
+                    'is an end of line; let the program set it to raw (cfmakeraw, tty.setraw), or '
+                    'call `stty raw -echo` before',
+                    {'missed or damaged': lost + case.damage})
+
+
+@Rule(subject='bus', level=Level.ERROR,
+      symptoms={'proof'},
       accounts_for={*SILENCE, *DAMAGE, 'no packets', 'silent bus', 'slow cycle'})
 def wrong_packets(case: Case) -> Claims:
     """
@@ -734,6 +756,7 @@ def _may_come_late(case: Case, device: DeviceReport) -> bool:
         or case.count(ev.THROWN_AWAY) > 0 or case.count(ev.LATE) > 0
 
 
-RULES = (rate_refused, unread_answers, wrong_packets, eeprom_locked, wrong_address, goal_limits,
-    refused, impossible_id, master_stopped, scan, models, eeprom_wear, fast_read_unsupported,
-    sync_read_unsupported, group_read_unanswered, unstuffed, no_acks, never_written)
+RULES = (rate_refused, line_mode, unread_answers, wrong_packets, eeprom_locked, wrong_address,
+    goal_limits, refused, impossible_id, master_stopped, scan, models, eeprom_wear,
+    fast_read_unsupported, sync_read_unsupported, group_read_unanswered, unstuffed, no_acks,
+    never_written)

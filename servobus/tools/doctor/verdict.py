@@ -63,6 +63,14 @@ class OpenPoint(NamedTuple):
     step: str
 
 
+# For a program that its servo library has ended, where nothing that was heard says why.
+_LIBRARY_ERROR = OpenPoint(
+    'the program', '', 'nothing that was heard accounts for its error: its library is set to '
+    'another protocol or model, or the program uses it in the wrong order',
+    'read one register of one servo in a program of its own, with the same library: if that '
+    'works, it is the order; else the protocol or model')
+
+
 class DeviceGroup(NamedTuple):
     """Devices alike, one after the other. level: the worst that is said of them."""
 
@@ -119,7 +127,11 @@ def make_verdict(source: str, buses: Sequence[BusSummary], seconds: float, is_ti
         not_sure += [OpenPoint(bus.who(one.device), one.rule, printable(one.message), printable(
             one.step.replace(PORT, port if port.startswith('/dev/') else PORT)))
             for one in [*steps, *left]]
-    wrong = [entry for bus in buses for entry in _wrong(bus)] + [one for one in [ended] if one]
+    wrong = [entry for bus in buses for entry in _wrong(bus)]
+    if ended:
+        if not (quiet or not_sure or any(entry.level > Level.OK for entry in wrong)):
+            not_sure.append(_LIBRARY_ERROR)
+        wrong.append(ended)
     return Verdict(printable(source), (*map(os.path.basename, ports[:PORTS_NAMED_MAX]),
                                        *_head(buses, seconds, is_timed)),
                    tuple(one for bus in buses for one in _heard(bus)),
