@@ -320,8 +320,8 @@ class UnreadRun:
             unread.EXPIRED: lambda: self.unread.judge_expired(2 * S, 1000),
             unread.PURGED: lambda: self.purge(7),
             unread.PURGED_NOTHING: self.purge,
-            unread.CLOSED: lambda: self.unread.close(self.question),
-            unread.LOST: lambda: self.unread.close(None),
+            unread.CLOSED: lambda: self.unread.close(self.question, 2 * S),
+            unread.LOST: lambda: self.unread.close(None, 2 * S),
         }
 
 
