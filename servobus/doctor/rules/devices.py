@@ -238,13 +238,12 @@ def range_wraps(case: Case, device: DeviceReport) -> Found | None:
                  'in the middle of its range', rests_on=('Present Position',))
 
 
-@Rule(symptoms={'proof'},
-      accounts_for={'joint at rest'})
+@Rule(symptoms={'proof'})
 def impossible_position(case: Case) -> Claims:
     """
-    A position that cannot be: beyond a turn in spite of its limits, or 0 for all its goals.
+    A position beyond a turn in spite of its limits (Feetech).
 
-    Do: switch its power off and on, calibrate it once; check address and size of the read.
+    Do: switch its power off and on, calibrate it once.
     """
     for device in case.report.devices:
         values = case.values[device.id]
@@ -254,7 +253,7 @@ def impossible_position(case: Case) -> Claims:
         if place.source != 'r' or place.age_s > GOAL_FRESH_S:
             continue
         if 0 <= place.value.raw <= AT_ZERO_MAX:
-            yield from _claim_zero(case, device)
+            yield from _doubt_zero(case, device)
         elif device.model.protocol == 'feetech' and place.value.raw >= TURN_STEPS \
                 and 'Max Position Limit' in values and 'Min Position Limit' in values:
             yield from _claim_beyond(device, place, values)
@@ -273,17 +272,13 @@ def _claim_beyond(device: DeviceReport, place: Observed, values: dict[str, Obser
                     {'position': f'{steps:.0f}'}, device=device.id, rests_on=(_PLACE,))
 
 
-def _claim_zero(case: Case, device: DeviceReport) -> Claims:
-    samples = [one for one in case.samples.get(device.id, ())
-               if one.position is not None and one.goal is not None]
+def _doubt_zero(case: Case, device: DeviceReport) -> Claims:
+    samples = [one for one in case.samples.get(device.id, ()) if one.goal is not None]
     goals = [one.goal for one in samples if one.goal is not None]
     if len(samples) >= ZERO_MIN_REPORTS and max(goals) - min(goals) >= GOAL_FAR_STEPS \
-            and all(0 <= (one.position or 0) <= AT_ZERO_MAX for one in samples) \
-            and not device.alert and not is_off(case.values[device.id].get('Torque Enable')):
-        yield Claim(f'its position reads {samples[-1].position:.0f} for all its goals: check '
-                    'address and size of that read, and its torque; else its sensor is broken',
-                    {'goals': f'{min(goals):.0f} to {max(goals):.0f}'}, device=device.id,
-                    rests_on=(_PLACE,))
+            and all(0 <= (one.position or 0) <= AT_ZERO_MAX for one in samples):
+        yield Doubt('its position reads 0 or 1 for all its goals: check address and size of that '
+                    'read, and its torque; else its sensor is broken', device.id)
 
 
 RULES = (hardware_error, watchdog, too_hot, voltage, range_wraps, impossible_position)
