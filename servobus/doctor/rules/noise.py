@@ -50,8 +50,9 @@ from servobus.plain import printable
 NOISE_MIN_PACKETS = 5              # damaged ones: fewer have no common cause
 NOISE_MIN_SHARE = 0.001            # share of all packets
 # Below this share damage of no clear kind may be a second program as well, which asks now and then
-# and runs into some packets in a thousand; one that shares the bus all the time hits more.
-NOISE_SURE_MIN_SHARE = 0.01
+# and runs into one packet in a thousand; one that shares the bus all the time hits more. Where the
+# sides are known its instructions would have been seen.
+NOISE_SURE_MIN_SHARE = 0.002
 STRAY_MIN_PACKETS = 5              # after a stray byte
 STRAY_MIN_SHARE = 0.001            # share of all packets
 ONE_DEVICE_MIN_SHARE = 0.7         # share of the damage: it is that of one device
@@ -557,7 +558,7 @@ def _noise_claims(case: Case) -> Claims:
     way = 'in both directions' if both_ways else 'in answers'
     share_of = about(case.damage, packets + case.damage)
     picture = case.damage_picture()
-    if not picture and case.damage < NOISE_SURE_MIN_SHARE * packets:
+    if not (picture or case.report.has_sides) and case.damage < NOISE_SURE_MIN_SHARE * packets:
         yield Doubt(f'{share_of} of the packets damaged, in no clear way: interference, or a '
                     'second program', step=f'{STOP_OTHERS}: what is damaged then is interference')
         return
