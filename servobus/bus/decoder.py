@@ -6,7 +6,6 @@ BusDecoder: what is said on one bus, from chunks of bytes to devices.
 It joins the framer, the tracker and the registry. No lock and no clock: Monitor has both.
 """
 
-from operator import attrgetter
 from typing import NamedTuple
 
 from msg_defs import dxl1_packet
@@ -295,6 +294,11 @@ class BusDecoder:
         return count
 
     @property
+    def noise_side(self) -> str:
+        """The side that heard most bytes that were no packet."""
+        return max(self.framers, key=lambda side: self.framers[side].noise_bytes)
+
+    @property
     def noise(self) -> bytes:
-        """The last bytes that were no packet: of the side that heard most of them."""
-        return max(self.framers.values(), key=attrgetter('noise_bytes')).noise
+        """The last bytes that were no packet, of that side."""
+        return self.framers[self.noise_side].noise

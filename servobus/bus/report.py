@@ -21,6 +21,7 @@ from typing import TypeVar
 
 from msg_defs import reports
 from msg_defs import status_keys as keys
+from msg_defs.event import UNKNOWN
 from msg_defs.reports import Level
 from msg_defs.reports import Metric
 from msg_defs.timing import Summary
@@ -313,6 +314,7 @@ class BusReport(NamedTuple):
     users: tuple[str, ...] = ()                 # who else had the port of that program open
     line_errors: LineErrors | None = None       # since start, where the driver counts them
     cycle: CycleTimes | None = None             # where a cycle's time goes
+    noise_side: str = UNKNOWN                   # on which side the noise was
     deaf: int = 0                               # stamp of the last report without an open port
     findings: tuple[Finding, ...] = ()
     doubts: tuple[Finding, ...] = ()            # what the doctor cannot tell, and why

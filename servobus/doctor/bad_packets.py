@@ -13,16 +13,17 @@ from functools import lru_cache
 import re
 from typing import NamedTuple
 
-from msg_defs.dxl_instruction import ADAPTER_READ
+from msg_defs.dxl1_instruction import fits
 from msg_defs.dxl_instruction import NAMES
 from msg_defs.dxl_packet import body_crc
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import HEADER
 from msg_defs.dxl_packet import STATUS
+from msg_defs.event import IN
+from msg_defs.event import OUT
 from servobus.doctor.case import Case
 from servobus.doctor.thresholds import INCIDENTS_MIN
 
-_INSTRUCTIONS = {*NAMES, ADAPTER_READ} - {STATUS}
 _HEADS = re.compile(rb'\xff\xff(?:\xfd\x00|(?=[^\xff\xfd]))')      # Protocol 2.0, the 1.0 family
 SENT_MIN_PACKETS = 2               # what a program writes is whole; the noise holds few long ones
 MIN_BYTES, MIN_BYTES_2 = 6, 10    # the 1.0 family, Protocol 2.0
@@ -48,12 +49,13 @@ def repeated_bad_packet(case: Case) -> BadPacket | None:
     Where the sides are not known, each of them has to be as wrong as the others, and none good.
     """
     report = case.report
-    if not report.noise or _fresh_noise(case) < INCIDENTS_MIN * MIN_BYTES \
+    if not report.noise or report.noise_side == IN \
+            or _fresh_noise(case) < INCIDENTS_MIN * MIN_BYTES \
             or not (found := _bad_packets(report.noise)):
         return None
     last = found[-1]
     alike = [one for one in found if one[:3] == last[:3]]
-    if report.has_sides:
+    if report.noise_side == OUT:
         return last if len(alike) >= SENT_MIN_PACKETS else None
     is_good_too = any(cycle.instruction == last.instruction
                       and (last.id == BROADCAST or last.id in cycle.ids)
@@ -77,7 +79,7 @@ def _bad_packets(noise: bytes) -> list[BadPacket]:
                                                       strict=False)]
     return [bad for packet in packets
             if (bad := (_bad_packet_2 if packet.startswith(HEADER) else _bad_packet_1)(packet))
-            is not None and bad.instruction in _INSTRUCTIONS]
+            is not None]
 
 
 def _bad_packet_1(packet: bytes) -> BadPacket | None:
@@ -85,6 +87,8 @@ def _bad_packet_1(packet: bytes) -> BadPacket | None:
     if len(packet) < MIN_BYTES:
         return None
     number, length, code = packet[2:5]
+    if not fits(code, number, packet[5:-1]):
+        return None                    # a status, mostly
     right = len(packet) - _LENGTH_1_END
     excess = sum(packet[2:]) + 1 & 0xFF            # what the sum has too much
     if length != right:
@@ -106,6 +110,8 @@ def _bad_packet_2(packet: bytes) -> BadPacket | None:
     number, length, code = packet[4], int.from_bytes(packet[5:7], 'little'), packet[7]
     right, crc = len(packet) - _LENGTH_2_END, body_crc(packet[4:-2])
     sent = int.from_bytes(packet[-2:], 'little')
+    if code not in NAMES or code == STATUS:
+        return None
     if length != right:
         return BadPacket(number, code, 'Length', f'{length}', f'{right}',
                          length - right) if sent == crc else None
