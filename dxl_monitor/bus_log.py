@@ -17,7 +17,7 @@ from servobus.bus.report import BusReport
 from servobus.bus.report import CONNECTED
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import DISCONNECTED
-from servobus.doctor.rule import listed
+from servobus.doctor.rule import first_ids
 
 S = 1_000_000_000
 TOGETHER_NS = S                # without another device: all have come to which it happens
@@ -122,6 +122,6 @@ class _Changes:
 def _names(devices: list[DeviceReport], why: dict[int, str]) -> str:
     """Spell devices; of one alone with its joint, and what is the matter."""
     if len(devices) > 1:
-        return listed(one.id for one in devices)
+        return first_ids(one.id for one in devices)
     [one] = devices
     return f'{one.name} ({why[one.id]})' if one.id in why else one.name

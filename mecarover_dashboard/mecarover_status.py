@@ -17,7 +17,7 @@ from mecarover_dashboard.state import State
 from servobus.errors import UsageError
 from servobus.tools.cli import run_tool
 from servobus.tools.run import add_bus_options
-from servobus.tools.run import refuse_run
+from servobus.tools.run import refuse_run_word
 
 NAME = terminal.NAME
 
@@ -30,7 +30,7 @@ def main() -> int:
 
 def _run(arguments: list[str]) -> int:
     parser = _parser()
-    refuse_run(parser, 'source', arguments)
+    refuse_run_word(parser, 'source', arguments)
     options = parser.parse_args(arguments)
     if options.source is None:
         raise UsageError('SOURCE: none given, and ROS 2 is not sourced; name a port or a '

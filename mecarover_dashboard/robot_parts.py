@@ -30,7 +30,7 @@ UNKNOWN = (NO_REPORT, PORT_CLOSED)
 _OF_ALL = (*UNKNOWN, NONE_ANSWERS)      # the problem of each of its devices
 _AWAY = ('disconnected', 'expected')
 _LEVEL_WORDS = {Level.ERROR: FAULT, Level.STALE: SILENT, Level.WARN: WARNING}
-_NAMED = 4                              # devices in a sentence
+_MOST_NAMED = 4                              # devices in a sentence
 
 
 class RobotPart(NamedTuple):
@@ -244,11 +244,11 @@ def _not_reported(node: str, count: int) -> str:
 
 
 def _names(some: list[Row]) -> str:
-    names = ', '.join(map(device_name, some[:_NAMED]))
+    names = ', '.join(map(device_name, some[:_MOST_NAMED]))
     if len(some) == 1:
         return f'{names}, {some[0]["message"]}'
-    if len(some) > _NAMED:
-        names += f' and {len(some) - _NAMED} more'
+    if len(some) > _MOST_NAMED:
+        names += f' and {len(some) - _MOST_NAMED} more'
     found = next((one for one in some if one['findings']), None)
     return names if found is None else f'{names}; {found["id"]:03}: {found["findings"][0][1]}'
 

@@ -180,11 +180,11 @@ def _bridge(status: AnyStatus, rest: str) -> Row:
     return {'part': rest, 'values': pairs, 'live': _is_open(pairs)}
 
 
-def _timing(status: AnyStatus, rest: str) -> Row:
+def _timing_row(status: AnyStatus, rest: str) -> Row:
     return {'of': metric_of(status), 'metric': rest.rpartition('/')[2], 'values': status.pairs()}
 
 
-_MAKERS = {'devices': _device, 'buses': _bus, 'bridge': _bridge, 'timing': _timing}
+_MAKERS = {'devices': _device, 'buses': _bus, 'bridge': _bridge, 'timing': _timing_row}
 
 
 def _findings(pairs: Pairs,

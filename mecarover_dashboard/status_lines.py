@@ -60,16 +60,16 @@ class DeviceLine(NamedTuple):
 
     level: Level
     name: str
-    values: tuple[str, ...]             # in the order of COLUMNS
+    values: tuple[str, ...]             # in the order of VALUE_COLUMNS
     cause: str
 
     def text(self, name_width: int) -> str:
         cells = ''.join(f'  {value or "-":>{width}}' for value, (_, width) in zip(
-            self.values, COLUMNS, strict=True))
+            self.values, VALUE_COLUMNS, strict=True))
         return f'{_WORDS[self.level]:6}  {self.name:{name_width}}{cells}  {self.cause}'
 
 
-COLUMNS = (('rad', 6), ('\u00b0C', 4), ('V', 5), ('load', 6), ('loss %', 6))
+VALUE_COLUMNS = (('rad', 6), ('\u00b0C', 4), ('V', 5), ('load', 6), ('loss %', 6))
 SORTS = {'w': 'worst first', 'i': 'by ID', 'p': 'position', 't': 'temperature', 'v': 'voltage',
          'l': 'load', 'm': 'missed'}
 _VALUES = 'ptvlm'                       # the columns, by the key that sorts by them
@@ -87,7 +87,7 @@ def table(state: State, now_s: float, sort: str = 'w') -> list[str]:
     elif sort == 'w':
         found.sort(key=lambda line: -SEVERITY.index(line.level))
     width = max(len(line.name) for line in found)
-    head = ''.join(f'  {name:>{width}}' for name, width in COLUMNS)
+    head = ''.join(f'  {name:>{width}}' for name, width in VALUE_COLUMNS)
     return [f'{"":6}  {"device":{width}}{head}  state ({SORTS[sort]})',
             *(line.text(width) for line in found)]
 

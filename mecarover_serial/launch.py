@@ -39,9 +39,9 @@ from mecarover_serial.launch_arguments import SHARED
 from mecarover_serial.launch_arguments import typed_names
 from mecarover_serial.launch_arguments import YES
 from mecarover_serial.parameters import typed
-from mecarover_serial.settings_file import check
-from mecarover_serial.settings_file import SettingsError
-from mecarover_serial.settings_file import without
+from mecarover_serial.settings_text import check
+from mecarover_serial.settings_text import SettingsError
+from mecarover_serial.settings_text import without
 
 HOPELESS = 2                # exit code of a wrong parameter
 

@@ -51,8 +51,8 @@ from mecarover_serial.parameters import Parameter
 from mecarover_serial.parameters import settings_files
 from mecarover_serial.parameters import typed
 from mecarover_serial.parameters import unknown
-from mecarover_serial.settings_file import check
-from mecarover_serial.settings_file import SettingsError
+from mecarover_serial.settings_text import check
+from mecarover_serial.settings_text import SettingsError
 from mecarover_serial.standard_streams import StandardStreams
 from mecarover_serial.systemd import Systemd
 from servobus.errors import ParameterError

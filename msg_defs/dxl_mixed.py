@@ -14,8 +14,8 @@ import re
 from typing import NamedTuple
 
 from msg_defs import dxl1_packet
-from msg_defs.dxl1_detector import Candidate
-from msg_defs.dxl1_detector import Detector
+from msg_defs.dxl1_proof import Candidate
+from msg_defs.dxl1_proof import Detector
 from msg_defs.dxl_packet import Framer
 from msg_defs.event import OUT
 from msg_defs.frame import ahead

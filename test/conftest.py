@@ -25,8 +25,8 @@ from hypothesis import settings
 import pytest
 from realtime import Rerun
 
-from mecarover_serial.ros_domain import Domain
-from mecarover_serial.ros_domain import TESTS
+from mecarover_serial.domain_lock import ReservedDomain
+from mecarover_serial.domain_lock import TESTS
 from servobus.internal_fault import LOG
 
 # What scripts/test leaves to scripts/test --all, by mark; but the mark smoke is for both.
@@ -63,7 +63,7 @@ def pytest_addoption(parser):
 
 def pytest_configure(config):
     """Isolate this process and its children: before anything imports rclpy."""
-    config.domain = Domain(TESTS, os.getpid())
+    config.domain = ReservedDomain(TESTS, os.getpid())
     config.log_dir = tempfile.TemporaryDirectory(prefix='ros_log_', ignore_cleanup_errors=True)
     os.environ.update({
         'ROS_DOMAIN_ID': str(config.domain.number),

@@ -29,12 +29,12 @@ from servobus.bus.evidence import Evidence
 from servobus.bus.evidence import text_of
 from servobus.bus.expected import Expected
 from servobus.bus.id_confirmation import IdConfirmation
+from servobus.bus.instruction_plans import NO_PLAN
+from servobus.bus.instruction_plans import Planner
 from servobus.bus.plan import Due
 from servobus.bus.plan import ignore_data
 from servobus.bus.plan import Plan
 from servobus.bus.plan import Slot
-from servobus.bus.planner import NO_PLAN
-from servobus.bus.planner import Planner
 from servobus.bus.registry import DeviceRegistry
 from servobus.bus.reply_policy import OpenQuestion
 from servobus.bus.reply_policy import ReplyPolicy

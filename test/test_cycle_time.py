@@ -47,13 +47,13 @@ def read(number, dead=()):
     return encode(number, 2, words(132, 4)), answers
 
 
-def listed(code, params, dead=()):
+def first_ids(code, params, dead=()):
     return encode(0xFE, code, params), [(number, reply(number, POSITION)) for number in SIX
                                         if number not in dead]
 
 
 def sync_read(dead=()):
-    return listed(0x82, words(132, 4) + bytes(SIX), dead)
+    return first_ids(0x82, words(132, 4) + bytes(SIX), dead)
 
 
 def write(number):

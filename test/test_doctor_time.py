@@ -42,7 +42,7 @@ from servobus.doctor.rhythm import rhythms
 from servobus.doctor.rule import about
 from servobus.doctor.rule import Claim
 from servobus.doctor.rule import Doubt
-from servobus.doctor.rule import listed
+from servobus.doctor.rule import first_ids
 from servobus.doctor.rule import longer_than
 from servobus.doctor.rule import share
 from servobus.doctor.rules.noise import likely_rate
@@ -122,7 +122,7 @@ def test_a_time_is_spelt_in_steps():
 def test_shares_and_ids_are_spelt_in_steps(spell, of, expected):
     figures = [yaml.safe_load(f'[{one}]' if spell == 'listed' and not at else one)
                for at, one in enumerate(of.split())]
-    assert {'share': share, 'about': about, 'listed': listed}[spell](*figures) == expected
+    assert {'share': share, 'about': about, 'listed': first_ids}[spell](*figures) == expected
 
 
 # --- rhythms and collisions ------------------------------------------------------------------

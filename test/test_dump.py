@@ -125,7 +125,7 @@ def packets(data):
                      one.repaired) for one in found]
 
 
-def listed(found):
+def first_ids(found):
     return [(one['offset'], one['id'], one['code'], one['error'], one['params'],
              one['repaired']) for one in found]
 
@@ -141,7 +141,7 @@ def test_json_lists_the_same_packets_whatever_the_chunks(raw, seed):
     assert len(texts) == 1
     *found, counts = map(json.loads, texts.pop().splitlines())
     framer, expected = packets(bytes(data))
-    assert listed(found) == expected
+    assert first_ids(found) == expected
     assert {name: counts[name] for name in COUNTERS} \
         == {name: getattr(framer, name) for name in COUNTERS}
     assert [one['stamp'] for one in found] == sorted(one['stamp'] for one in found)
@@ -149,7 +149,7 @@ def test_json_lists_the_same_packets_whatever_the_chunks(raw, seed):
 
 def test_a_capture_and_its_bytes_list_the_same_packets(recorded, raw):
     timed, bare = objects(recorded), objects(raw)
-    assert listed(timed) == listed(bare)
+    assert first_ids(timed) == first_ids(bare)
     assert timed[0]['stamp'] == pytest.approx(1_790_000_000, abs=1)
     assert {one['bus'] for one in timed} == {'bus'}
 

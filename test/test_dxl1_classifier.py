@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 import pytest
 import yaml
 
-from msg_defs.dxl1_detector import Detector
 from msg_defs.dxl1_packet import encode
+from msg_defs.dxl1_proof import Detector
 from msg_defs.dxl_mixed import MixedFramer
 from msg_defs.dxl_packet import encode as encode_2
 from msg_defs.dxl_packet import Framer

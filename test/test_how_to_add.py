@@ -94,7 +94,7 @@ def test_an_instruction(copy):
         device.table.forget('ram', device.model)
 
 """))
-    code.change('servobus/bus/planner.py', (
+    code.change('servobus/bus/instruction_plans.py', (
         '            Instruction.REBOOT: ', '            Instruction.HOME: registry.home,\n'))
     code.change('mecarover_fakes/fake_servo.py',
                 ('    def _on_reboot(', """\

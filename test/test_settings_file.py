@@ -10,9 +10,9 @@ import yaml
 
 from mecarover_serial.launch_arguments import refuse_unknown
 from mecarover_serial.launch_arguments import UnknownArgument
-from mecarover_serial.settings_file import check
-from mecarover_serial.settings_file import SettingsError
-from mecarover_serial.settings_file import without
+from mecarover_serial.settings_text import check
+from mecarover_serial.settings_text import SettingsError
+from mecarover_serial.settings_text import without
 
 ROWS = yaml.safe_load(
     Path(__file__).with_name('settings_headers.yaml').read_text(encoding='utf-8'))

@@ -26,14 +26,14 @@ _REFUSED_FOR = 10 * _SECOND     # after its last word a refusal is a complaint f
 _DRIVES_MIN = 5                 # frames: fewer refused ones may be an accident
 _DRIVES_KEPT = 200              # frames that say whether commands to drive are refused: about 10 s
 CRC_MISMATCH = 'crc mismatch'
-INSUFFICIENT = 'insufficient bytes'
+TOO_FEW_BYTES = 'insufficient bytes'
 _KEYS = ('MCU state', 'MCU good frames', 'MCU bad frames', 'MCU refused frames',
          'MCU watchdog stops')
 _COLOUR = re.compile(rb'\x1b\[[0-9;]*[A-Za-z]')
 
 
 _REMEDIES = {CRC_MISMATCH: 'check cable and ground',
-             INSUFFICIENT: 'check the cable, and that no console, login or other program writes '
+             TOO_FEW_BYTES: 'check the cable, and that no console, login or other program writes '
                            'to the port'}
 
 

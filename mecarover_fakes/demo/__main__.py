@@ -27,9 +27,9 @@ from mecarover_fakes.demo.scenes import SceneResult
 from mecarover_fakes.demo.scenes import SCENES
 from mecarover_fakes.demo.scenes import TakenSetPoint
 from mecarover_fakes.demo.scenes import TIME_OUT_BOUND_S
+from mecarover_serial.domain_lock import DEMOS
+from mecarover_serial.domain_lock import ReservedDomain
 from mecarover_serial.node_command_line import no_ros
-from mecarover_serial.ros_domain import DEMOS
-from mecarover_serial.ros_domain import Domain
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 from servobus.tools.cli import COULD_NOT_RUN
@@ -49,7 +49,8 @@ def main() -> int:
 
 def _main(arguments: list[str]) -> int:
     options = _parser().parse_args(arguments)
-    own = Domain(DEMOS)     # not ROS_DOMAIN_ID: in the domain of a robot the demo would drive it
+    # Not ROS_DOMAIN_ID: in the domain of a robot the demo would drive it.
+    own = ReservedDomain(DEMOS)
     domain = own.number
     os.environ.update(ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST', ROS_DOMAIN_ID=str(domain))
     try:

@@ -9,7 +9,7 @@ It joins the framer, the tracker and the registry. No lock and no clock: Monitor
 from typing import NamedTuple
 
 from msg_defs import dxl1_packet
-from msg_defs.dxl1_detector import Detector
+from msg_defs.dxl1_proof import Detector
 from msg_defs.dxl_mixed import MixedFramer
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import REASONS

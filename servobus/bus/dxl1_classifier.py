@@ -16,7 +16,6 @@ from typing import Any
 from typing import NamedTuple
 
 from msg_defs import dxl1_packet
-from msg_defs.dxl1_detector import Detector
 from msg_defs.dxl1_instruction import ADAPTER_IDS
 from msg_defs.dxl1_instruction import common_error
 from msg_defs.dxl1_instruction import fits
@@ -26,6 +25,7 @@ from msg_defs.dxl1_instruction import STATUS_BITS
 from msg_defs.dxl1_instruction import UNDECIDED
 from msg_defs.dxl1_packet import BROADCAST
 from msg_defs.dxl1_packet import MIN_LENGTH
+from msg_defs.dxl1_proof import Detector
 from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import Request
 from msg_defs.dxl_mixed import MixedFramer

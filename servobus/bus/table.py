@@ -28,7 +28,7 @@ SOURCES = {READ: 'r', WRITTEN: 'w'}
 # What lies beyond is not kept: the tables of nearly all devices end before the first of them, and
 # none that is known reaches 10600.
 USUAL_LIMIT = 0x800
-SIZE_LIMIT = 0x4000
+ADDRESS_END_MAX = 0x4000
 SPAN_LIMIT = 64         # spans waiting to be put in place; a master uses a handful
 LAST_STAMP = (1 << 63) - 1      # ns: 292 years
 WAITING_SPAN_MAX_BYTES = 256              # bytes of a span that does not wait
@@ -241,7 +241,7 @@ def size_of(model: Model) -> int:
     """Return up to which address bytes of this model are kept."""
     ends = [field.end for field in model.fields[-1:]]
     ends += [one.data + one.size for one in model.indirect]
-    return min(max(USUAL_LIMIT, *ends), SIZE_LIMIT) if ends else USUAL_LIMIT
+    return min(max(USUAL_LIMIT, *ends), ADDRESS_END_MAX) if ends else USUAL_LIMIT
 
 
 def _in_force(field: Field, model: Model, image: Image) -> Field:
@@ -267,7 +267,7 @@ def _resolve(image: Image, indirect: Indirect, resolved: Image) -> None:
             continue
         target = image.data[address] | image.data[address + 1] << 8
         stamp = image.stamps[here]
-        if target < SIZE_LIMIT and stamp >= max(image.stamps[address:address + 2]):
+        if target < ADDRESS_END_MAX and stamp >= max(image.stamps[address:address + 2]):
             resolved.grow(target + 1)
             if stamp >= resolved.stamps[target] or not resolved.sources[target]:
                 resolved.data[target] = image.data[here]

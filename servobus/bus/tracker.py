@@ -31,15 +31,15 @@ from servobus.bus import evidence as ev
 from servobus.bus import pairing
 from servobus.bus.device import Device
 from servobus.bus.evidence import Evidence
+from servobus.bus.instruction_plans import NO_PLAN
+from servobus.bus.instruction_plans import Planner
+from servobus.bus.instruction_plans import RawInstruction
 from servobus.bus.pairing import DOUBTFUL
 from servobus.bus.pairing import SURE
 from servobus.bus.plan import Due
 from servobus.bus.plan import Effect
 from servobus.bus.plan import Plan
 from servobus.bus.plan import Slot
-from servobus.bus.planner import NO_PLAN
-from servobus.bus.planner import Planner
-from servobus.bus.planner import RawInstruction
 from servobus.bus.registry import DeviceRegistry
 from servobus.bus.reply_policy import OpenQuestion
 from servobus.bus.reply_policy import ReplyPolicy
@@ -130,7 +130,7 @@ class Tracker:
             self._add_incident(stamp, ev.SOURCE_LOST, ev.NO_DEVICE, ev.Count(lost))
         self.slots.pop(BROADCAST, None)
         self.unread.close(None if lost or self.pending is NO_PLAN
-                          else self._question([*self.slots.values()]), stamp)
+                          else self._open_question([*self.slots.values()]), stamp)
         self._forget()
         self._state = DOUBTFUL
 
@@ -139,7 +139,7 @@ class Tracker:
         if self.unread.report_purge(self.pending, self.slots, self.asked, self.quiet_from, stamp):
             self.slots.clear()
 
-    def _question(self, due: list[Slot]) -> OpenQuestion:
+    def _open_question(self, due: list[Slot]) -> OpenQuestion:
         return OpenQuestion(self.pending, due, self._damaged_ids, self._state >= pairing.SPOILT,
                             self._asked[2], self._deferred)
 
@@ -394,10 +394,10 @@ class Tracker:
         slots.pop(BROADCAST, None)
         due = [*filter(self._policy.is_due, slots.values())]
         if due:
-            self._end_question(self._question(due), following,
+            self._end_question(self._open_question(due), following,
                                int(stamp - (received - began) * self.byte_ns), stamp)
         elif slots and self.unread.reported_ns:        # only a tap says what waits
-            self.unread.keep_uncertain(self._question([*slots.values()]))
+            self.unread.keep_uncertain(self._open_question([*slots.values()]))
         if self._deferred is not None and (not due or self._state >= pairing.SPOILT):
             self._carry_out()
         self._deferred = None

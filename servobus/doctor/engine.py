@@ -30,7 +30,7 @@ from servobus.doctor.rule import Rule
 from servobus.doctor.rules import devices
 from servobus.doctor.rules import missing
 from servobus.doctor.rules import noise
-from servobus.doctor.rules import program
+from servobus.doctor.rules import requests
 from servobus.doctor.standing import dated_claim
 from servobus.doctor.standing import kept_claim
 from servobus.doctor.standing import standing_claim
@@ -44,7 +44,7 @@ HOLD_NS = 3 * NS_PER_S             # a claim lasts so much longer than its evide
 
 
 # The rules that work on a bus on which nothing happens any more.
-_AT_REST = (missing.sync_read_stops, missing.no_answer, program.master_stopped)
+_AT_REST = (missing.sync_read_stops, missing.no_answer, requests.master_stopped)
 _Key = tuple[str, int | None]
 
 
@@ -99,7 +99,7 @@ class Doctor:
 
     def _report_claims_at_rest(self, case: Case) -> tuple[Finding, ...]:
         """Return what was known when the master asked last: nothing new can be judged."""
-        self._standing.pop((program.master_stopped.name, None), None)    # the port may be closed
+        self._standing.pop((requests.master_stopped.name, None), None)    # the port may be closed
         for rule in _AT_REST:
             for found in found_by(rule, case):
                 if isinstance(found, Claim):
@@ -171,8 +171,8 @@ def _report_with(case: Case, findings: tuple[Finding, ...],
     bus = first.get(None)
     if bus is not None and bus.level is not Level.OK:
         return report._replace(level=worst((report.level, bus.level)), message=bus.message)
-    if any(doubt.rule == program.models.name for doubt in doubts):
-        return program.with_models_named(report, case.names)
+    if any(doubt.rule == requests.models.name for doubt in doubts):
+        return requests.with_models_named(report, case.names)
     return report
 
 

@@ -66,8 +66,8 @@ class Doubt(NamedTuple):
     step: str = ''
 
 
-_PERCENT = (0.2, 0.5, 1, 2, 5, 10, 20, 50, 100)
-_SECONDS = (1, 5, 10, 30, 60, 300, 600, 1800, 3600)
+_STEPS_PERCENT = (0.2, 0.5, 1, 2, 5, 10, 20, 50, 100)
+_STEPS_S = (1, 5, 10, 30, 60, 300, 600, 1800, 3600)
 
 Found = Claim | Doubt
 Claims = Iterator[Found]
@@ -114,22 +114,23 @@ def share(part: float, whole: float) -> str:
 def about(part: float, whole: float) -> str:
     """Spell a share in steps, so that the words stand still: 'about 5 %'."""
     percent = 100 * part / whole if whole else 0.0
-    nearest = min(_PERCENT, key=lambda step: abs(log(step / max(percent, 0.05))))
-    return f'about {nearest:g} %' if percent > _PERCENT[0] else f'less than {_PERCENT[0]:g} %'
+    nearest = min(_STEPS_PERCENT, key=lambda step: abs(log(step / max(percent, 0.05))))
+    least = _STEPS_PERCENT[0]
+    return f'about {nearest:g} %' if percent > least else f'less than {least:g} %'
 
 
 def longer_than(seconds: float) -> str:
     """Spell a time in steps, so that the words stand still: 'more than 10 s'."""
-    step = max((one for one in _SECONDS if one <= seconds), default=1)
+    step = max((one for one in _STEPS_S if one <= seconds), default=1)
     return f'more than {step} s' if step < 60 else f'more than {step // 60} min'
 
 
-def in_full(numbers: Iterable[int]) -> str:
+def all_ids(numbers: Iterable[int]) -> str:
     """Spell all IDs, for a figure: '003, 004'."""
     return ', '.join(_ids(numbers))
 
 
-def listed(numbers: Iterable[int], most: int = 6) -> str:
+def first_ids(numbers: Iterable[int], most: int = 6) -> str:
     """Spell IDs: '003, 004 and 9 more'."""
     ids = _ids(numbers)
     more = f' and {len(ids) - most} more' if len(ids) > most else ''

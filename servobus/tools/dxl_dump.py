@@ -31,7 +31,7 @@ from servobus.tools.dump.session import Session
 from servobus.tools.dump.wireshark_tables import write_tables
 from servobus.tools.run import add_bus_options
 from servobus.tools.run import models_of
-from servobus.tools.run import refuse_run
+from servobus.tools.run import refuse_run_word
 
 HIGHEST_ID = 255                   # damage may make any byte of an ID
 EXAMPLES = """examples:
@@ -54,7 +54,7 @@ def main() -> int:
 
 def _run(arguments: list[str]) -> int:
     parser = _parser()
-    refuse_run(parser, 'source', arguments)
+    refuse_run_word(parser, 'source', arguments)
     options = parser.parse_args(arguments)
     if options.check_models is not None:
         return _check_models(options.check_models)

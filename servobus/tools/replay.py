@@ -41,7 +41,7 @@ from servobus.tools.cli import run_tool
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
 from servobus.tools.run import BAUD
-from servobus.tools.run import refuse_run
+from servobus.tools.run import refuse_run_word
 
 SPEED_MIN = 1e-6                   # times the original speed
 SETTLE_S = 0.5                     # a reader has opened the port, and sets it up
@@ -99,7 +99,7 @@ def main() -> int:
 
 def _run(arguments: list[str]) -> int:
     parser = _parser()
-    refuse_run(parser, 'capture', arguments)
+    refuse_run_word(parser, 'capture', arguments)
     options = parser.parse_args(arguments)
     if 0 < options.speed < SPEED_MIN:
         raise UsageError(f'--speed {options.speed:g}: not possible; give 1 for the original '

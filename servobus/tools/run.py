@@ -34,7 +34,7 @@ BAUD = number(int, 1, BAUD_MAX, 'Bd')
 _ANY = ('my_script.py',)
 
 
-def refuse_run(parser: argparse.ArgumentParser, where: str, arguments: Sequence[str]) -> None:
+def refuse_run_word(parser: argparse.ArgumentParser, where: str, arguments: Sequence[str]) -> None:
     """Raise UsageError if `run` is where `parser` has a source; `where`: what it calls that."""
     if RUN not in arguments:
         return

@@ -8,7 +8,7 @@ from servobus.doctor.rules import devices
 from servobus.doctor.rules import feetech
 from servobus.doctor.rules import missing
 from servobus.doctor.rules import noise
-from servobus.doctor.rules import program
+from servobus.doctor.rules import requests
 from servobus.doctor.rules import setup
 from servobus.doctor.rules import timing
 
@@ -20,7 +20,7 @@ FAMILIES: dict[str, tuple[Rule, ...]] = {
     'Devices are missing': missing.RULES,
     'The devices themselves': devices.RULES,
     'Time': timing.RULES,
-    'What the program does': program.RULES,
+    'What the program does': requests.RULES,
     'Feetech servos': feetech.RULES}
 RULES = tuple([rule for rules in FAMILIES.values() for rule in rules])
 BY_NAME = {rule.name: rule for rule in RULES}

@@ -21,13 +21,13 @@ from servobus.doctor.facts import last_read
 from servobus.doctor.facts import limit_of
 from servobus.doctor.facts import RANGE_ERROR
 from servobus.doctor.facts import SUPPLY
+from servobus.doctor.rule import all_ids
 from servobus.doctor.rule import ANSWER
 from servobus.doctor.rule import Claim
 from servobus.doctor.rule import Claims
 from servobus.doctor.rule import Doubt
+from servobus.doctor.rule import first_ids
 from servobus.doctor.rule import Found
-from servobus.doctor.rule import in_full
-from servobus.doctor.rule import listed
 from servobus.doctor.rule import Rule
 from servobus.doctor.thresholds import GOAL_FAR_STEPS
 from servobus.doctor.thresholds import INCIDENTS_MIN
@@ -152,7 +152,7 @@ def too_hot(case: Case) -> Claims:
                         {'temperature (°C)': f'{temperature:.0f}', 'limit (°C)': f'{limit:.0f}'},
                         _level(is_above), device=device.id, rests_on=_HEAT)
     if unknown:
-        yield Doubt(f'{listed(unknown, 3)}: Temperature Limit never read')
+        yield Doubt(f'{first_ids(unknown, 3)}: Temperature Limit never read')
 
 
 def _level(is_beyond: bool) -> Level:
@@ -198,14 +198,14 @@ def voltage(case: Case) -> Claims:
     if len(found) >= SUPPLY_MIN_DEVICES:
         yield Claim(f'{len(found)} devices near or beyond a voltage limit: the supply is '
                     'the cause; measure it, charge the battery, check cable gauge',
-                    {'devices': in_full([one.device for one in found if one.device])},
+                    {'devices': all_ids([one.device for one in found if one.device])},
                     _level(any(one.level is not Level.WARN for one in found)),
                     covers=tuple(one.device for one in found if one.device is not None),
                     rests_on=SUPPLY)
     if unknown:
-        yield Doubt(f'{listed(unknown, 3)}: voltage limits never read')
+        yield Doubt(f'{first_ids(unknown, 3)}: voltage limits never read')
     if pinged:
-        yield Doubt(f'{listed(pinged, 3)}: what answers the Pings is the same as the Pings: '
+        yield Doubt(f'{first_ids(pinged, 3)}: what answers the Pings is the same as the Pings: '
                     'an echo of the adapter, or a voltage error', step='let the program read a '
                     'register: an echo is the same as that instruction, an answer is not')
 

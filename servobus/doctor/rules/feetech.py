@@ -14,8 +14,8 @@ from servobus.doctor.rule import Claim
 from servobus.doctor.rule import Claims
 from servobus.doctor.rule import Doubt
 from servobus.doctor.rule import FAMILY_1
+from servobus.doctor.rule import first_ids
 from servobus.doctor.rule import Found
-from servobus.doctor.rule import listed
 from servobus.doctor.rule import Rule
 from servobus.doctor.symptom import SILENCE
 from servobus.doctor.thresholds import WINDOW_S
@@ -129,7 +129,7 @@ def mixed_firmware(case: Case) -> Claims:
         count = Counter(versions.values())
         if len(count) > 1:
             least = ', '.join(
-                f'{version} in {listed([one for one in versions if versions[one] == version])}'
+                f'{version} in {first_ids([one for one in versions if versions[one] == version])}'
                 for version in sorted(count) if count[version] == min(count.values()))
             yield Claim(f'{name} with different firmware, {least}: LeRobot refuses that; '
                         "update them to one version with Feetech's debugger",

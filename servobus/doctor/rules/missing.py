@@ -31,12 +31,12 @@ from servobus.doctor.facts import is_off
 from servobus.doctor.facts import is_rate_search
 from servobus.doctor.facts import is_watched
 from servobus.doctor.rule import about
+from servobus.doctor.rule import all_ids
 from servobus.doctor.rule import Claim
 from servobus.doctor.rule import Claims
 from servobus.doctor.rule import Doubt
+from servobus.doctor.rule import first_ids
 from servobus.doctor.rule import Found
-from servobus.doctor.rule import in_full
-from servobus.doctor.rule import listed
 from servobus.doctor.rule import longer_than
 from servobus.doctor.rule import Rule
 from servobus.doctor.rule import share
@@ -95,14 +95,14 @@ def brown_out(case: Case) -> Claims:
     proofs = [proof for one in together if (proof := _restart_proof(case, one) or
                                             _voltage_dip(case, one.device))]
     if len(ids) > 1 and proofs:
-        yield Claim(f'{listed(ids, 2)} restarted together ({proofs[0]}): the supply failed; '
+        yield Claim(f'{first_ids(ids, 2)} restarted together ({proofs[0]}): the supply failed; '
                     'check battery and cables, set up again',
-                    {'devices': in_full(ids), 'seen by': proofs[0]}, covers=tuple(ids))
+                    {'devices': all_ids(ids), 'seen by': proofs[0]}, covers=tuple(ids))
     elif _was_with_all(case, last, ids):
-        yield Claim(f'{listed(ids, 2)} were silent together for {last.detail.ms} ms: the '
+        yield Claim(f'{first_ids(ids, 2)} were silent together for {last.detail.ms} ms: the '
                     'supply or the first cable failed for a moment; check both, and whether '
                     'torque and settings are as before',
-                    {'devices': in_full(ids)}, Level.WARN, covers=tuple(ids))
+                    {'devices': all_ids(ids)}, Level.WARN, covers=tuple(ids))
 
 
 def _was_with_all(case: Case, back: Incident[ev.SilentFor], ids: list[int]) -> bool:
@@ -196,7 +196,7 @@ def broken_cable(case: Case) -> Claims:
     if 0 < tail < len(chain) and sum(number in case.gone for number in lost) > 1:
         yield Claim('it and everything downstream are silent: the cable between '
                     f'{chain[-1 - tail]:03} and {lost[0]:03} is broken or unplugged',
-                    {'silent': in_full(lost)}, covers=tuple(lost), device=lost[0])
+                    {'silent': all_ids(lost)}, covers=tuple(lost), device=lost[0])
 
 
 def _cut_off(case: Case, number: int) -> bool:
@@ -245,10 +245,10 @@ def _claim_silent(case: Case, blocking: bool) -> Claims:
                 'ID', number, f'let the program wait {LONG_WAIT_MS} ms for {number:03}: if it '
                 'answers then, its time-out was too short')]
         elif bool(after) is blocking:
-            yield _claim_blocking(case, number, after) if after else _claim_gone(case, number)
+            yield _claim_blocking(case, number, after) if after else _no_answer_claim(case, number)
 
 
-def _claim_gone(case: Case, number: int) -> Claim:
+def _no_answer_claim(case: Case, number: int) -> Claim:
     device = case.devices[number]
     since = 'never heard' if device.last_heard_s is None \
         else f'silent for {longer_than(device.last_heard_s)}' if number in case.gone \
@@ -263,9 +263,9 @@ def _claim_gone(case: Case, number: int) -> Claim:
 
 
 def _claim_blocking(case: Case, number: int, after: list[int]) -> Claim:
-    return Claim(f'silent, and the Sync Read ends there: {listed(after, 2)} after it are '
+    return Claim(f'silent, and the Sync Read ends there: {first_ids(after, 2)} after it are '
                          'never read; check its power and cable, or leave it out',
-                 {'not served': in_full(after), **_wait_figures(case, number)}, device=number)
+                 {'not served': all_ids(after), **_wait_figures(case, number)}, device=number)
 
 
 def _wait_figures(case: Case, number: int) -> dict[str, str]:
@@ -293,7 +293,7 @@ def _claim_at_the_end(case: Case) -> Claims:
                   fatal is None or fatal.instruction == Instruction.PING or _is_used(device))]
     if case.report.failed == words.RAISED or {*lost} & {*absent}:
         lost += absent                 # it asked all, then complained of those
-    yield from (_claim_gone(case, number) for number in dict.fromkeys(lost)
+    yield from (_no_answer_claim(case, number) for number in dict.fromkeys(lost)
                 if number in case.devices and number not in case.gone
                 and not _is_late(case, case.devices[number]))
 

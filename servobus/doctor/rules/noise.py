@@ -31,12 +31,12 @@ from servobus.doctor.facts import is_overlaid
 from servobus.doctor.facts import may_overlap
 from servobus.doctor.facts import ran_into_answers
 from servobus.doctor.rule import about
+from servobus.doctor.rule import all_ids
 from servobus.doctor.rule import Claim
 from servobus.doctor.rule import Claims
 from servobus.doctor.rule import Doubt
+from servobus.doctor.rule import first_ids
 from servobus.doctor.rule import Found
-from servobus.doctor.rule import in_full
-from servobus.doctor.rule import listed
 from servobus.doctor.rule import Rule
 from servobus.doctor.rule import share
 from servobus.doctor.rule import STOP_OTHERS
@@ -305,7 +305,7 @@ def protocol_1(case: Case) -> Claims:
     remedy = 'give these devices a bus of their own'
     if name != FEETECH.name:           # which has no setting for it
         remedy = f'set these devices to Protocol {to} if they have it, or give them another bus'
-    yield Claim(f'{who}, ID {listed(ids, 4)}, on a bus of {host}: {remedy}',
+    yield Claim(f'{who}, ID {first_ids(ids, 4)}, on a bus of {host}: {remedy}',
                 {'packets': case.count(ev.PROTOCOL_1)})
 
 
@@ -497,7 +497,7 @@ def turnaround(case: Case) -> Claims:
                     'Time or correct the driver enable',
                     {'answers': first,
                      'packets with a stray byte': stray,
-                     'devices': in_full([one.id for one in hit])})
+                     'devices': all_ids([one.id for one in hit])})
         return
     for device in hit:
         first = _first_bytes(device)
@@ -567,7 +567,7 @@ def _noise_claims(case: Case) -> Claims:
                 {**picture,
                  'share': share(case.damage, packets + case.damage),
                  'damaged instructions': asked,
-                 'devices': in_full(hit)})
+                 'devices': all_ids(hit)})
 
 
 def _asked_damaged(case: Case) -> int:
@@ -636,7 +636,7 @@ def not_sent(case: Case) -> Claims:
         yield Claim(f'{count} instructions never left the adapter: in the program, switch '
                     'flow control off and do not flush output after a write; else plug the '
                     'adapter in again',
-                    {'instructions': count, 'to': in_full(asked)})
+                    {'instructions': count, 'to': all_ids(asked)})
 
 
 @Rule(subject='bus', level=Level.OK,

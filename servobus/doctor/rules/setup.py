@@ -16,13 +16,13 @@ from servobus.doctor.facts import ALIVE_MIN_VOLTS
 from servobus.doctor.facts import last_read
 from servobus.doctor.facts import limit_of
 from servobus.doctor.facts import SUPPLY
+from servobus.doctor.rule import all_ids
 from servobus.doctor.rule import Claim
 from servobus.doctor.rule import Claims
 from servobus.doctor.rule import Doubt
 from servobus.doctor.rule import FAMILY_1
+from servobus.doctor.rule import first_ids
 from servobus.doctor.rule import Found
-from servobus.doctor.rule import in_full
-from servobus.doctor.rule import listed
 from servobus.doctor.rule import Rule
 from servobus.doctor.symptom import DAMAGE
 from servobus.doctor.symptom import SILENCE
@@ -63,9 +63,9 @@ def factory_id(case: Case) -> Claims:
               and 2 * device.window.garbled <= device.window.missed]
     if first is None or not absent or not _clashes(case, first):
         return
-    yield Claim(f'several servos answer as 001, and {listed(absent, 3)} never did: '
+    yield Claim(f'several servos answer as 001, and {first_ids(absent, 3)} never did: '
                 'new ones still have ID 1; connect one at a time and give each its own ID',
-                {'never heard': in_full(absent),
+                {'never heard': all_ids(absent),
                  'spoilt': f'{first.window.spoilt} of {first.window.asked}'},
                 covers=tuple(absent), device=FACTORY_ID)
 
@@ -107,7 +107,7 @@ def wrong_supply(case: Case) -> Claims:
     yield from _supply_claims(low, 'while its limit is {limit:.1f} V: a servo for 12 V on a lower '
                               'supply{others}, slow and weak; supply 12 V', Level.WARN)
     if unknown:
-        yield Doubt(f'{listed(unknown, 3)}: Max Voltage Limit never read, so it is unknown '
+        yield Doubt(f'{first_ids(unknown, 3)}: Max Voltage Limit never read, so it is unknown '
                     'whether they fit the supply')
 
 
@@ -121,7 +121,7 @@ def _supply_claims(found: list[tuple[DeviceReport, float, float]], words: str,
         yield Claim(f'at {volts:.0f} V, ' + words.format(limit=limit, others=others),
                     {'voltage (V)': f'{volts:.1f}',
                      'limit (V)': f'{limit:.1f}',
-                     'devices': in_full(ids)}, level, covers=ids, device=device.id,
+                     'devices': all_ids(ids)}, level, covers=ids, device=device.id,
                     rests_on=SUPPLY)
 
 

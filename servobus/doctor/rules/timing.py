@@ -40,12 +40,12 @@ from servobus.doctor.rhythm import is_multiple
 from servobus.doctor.rhythm import REPEAT_WITHIN_NS
 from servobus.doctor.rhythm import Rhythm
 from servobus.doctor.rhythm import WRITES
+from servobus.doctor.rule import all_ids
 from servobus.doctor.rule import Claim
 from servobus.doctor.rule import Claims
 from servobus.doctor.rule import Doubt
+from servobus.doctor.rule import first_ids
 from servobus.doctor.rule import Found
-from servobus.doctor.rule import in_full
-from servobus.doctor.rule import listed
 from servobus.doctor.rule import Rule
 from servobus.doctor.rule import STOP_OTHERS
 from servobus.doctor.symptom import DAMAGE
@@ -311,10 +311,10 @@ def late_answers(case: Case) -> Claims:
             also = sorted(one for one, times in first.items()
                           if times >= INCIDENTS_MIN and one != number)
             yield Claim('answers after the master gave up, during the next instruction'
-                        f'{f", as {listed(also, 2)} do" if also else ""}: raise the time-out, or '
-                        'lower its Return Delay Time',
+                        f'{f", as {first_ids(also, 2)} do" if also else ""}: raise the time-out, '
+                        'or lower its Return Delay Time',
                         {'late answers': count, 'waits': f'{median(known) / 1000:.1f} ms'
-                            if known else 'unknown', **({'also': in_full(also)} if also else {})},
+                            if known else 'unknown', **({'also': all_ids(also)} if also else {})},
                         covers=tuple(case.devices), device=number)
 
 

@@ -36,8 +36,8 @@ from servobus.bus.decoder import BusDecoder
 from servobus.bus.decoder import DEFAULTS
 from servobus.bus.decoder import Settings
 from servobus.bus.device import Device
+from servobus.bus.instruction_plans import NO_PLAN
 from servobus.bus.plan import Plan
-from servobus.bus.planner import NO_PLAN
 from servobus.bus.report import Incident
 from servobus.model.models import Models
 

@@ -10,7 +10,7 @@ import socket
 TESTS, BENCHMARKS, DEMOS = range(1, 61), range(61, 91), range(91, 101)
 
 
-class Domain:
+class ReservedDomain:
     """
     One of these ROS domains, that no other process of this machine has; OSError without one.
 

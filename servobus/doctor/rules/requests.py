@@ -38,8 +38,8 @@ from servobus.doctor.rule import ANSWER
 from servobus.doctor.rule import Claim
 from servobus.doctor.rule import Claims
 from servobus.doctor.rule import Doubt
+from servobus.doctor.rule import first_ids
 from servobus.doctor.rule import Found
-from servobus.doctor.rule import listed
 from servobus.doctor.rule import Rule
 from servobus.doctor.symptom import DAMAGE
 from servobus.doctor.symptom import SILENCE
@@ -503,7 +503,7 @@ def scan(case: Case) -> Claims:
     elif case.report.scanned:
         yield Claim(f'a scan: {len(case.report.scanned)} IDs were pinged and do not answer, '
                     f'{len(case.report.devices)} devices are known',
-                    {'without an answer': listed(case.report.scanned)}, stands_alone=True)
+                    {'without an answer': first_ids(case.report.scanned)}, stands_alone=True)
 
 
 @Rule(subject='bus', level=Level.OK,
@@ -519,7 +519,7 @@ def models(case: Case) -> Claims:
         if device.model.number is None and device.last_heard_s is not None:
             found.setdefault(_what_is_unknown(device, case.names), []).append(device.id)
     if found and case.heard_s >= POLLED_MIN_S:
-        yield Doubt('; '.join(f'{listed(ids, 3)}: {words}' for words, ids in found.items()))
+        yield Doubt('; '.join(f'{first_ids(ids, 3)}: {words}' for words, ids in found.items()))
 
 
 def _what_is_unknown(device: DeviceReport, names: Names) -> str:
@@ -619,7 +619,7 @@ def never_written(case: Case, device: DeviceReport) -> Found | None:
         return Doubt('read but never written, like all others: this master may only '
                      'monitor')
     return Claim(f'read {device.totals.reads} times but never written, others are '
-                 f'({listed(written, 2)}): check whether the program forgot it',
+                 f'({first_ids(written, 2)}): check whether the program forgot it',
                  {'reads': device.totals.reads})
 
 
@@ -743,7 +743,7 @@ def _claim_unanswered(cycle: Cycle, device: DeviceReport) -> Claim:
     before = f'{cycle.ids[at - 1]:03}' if at else ''
     place = f' (it is after {before})' if at else ''
     remedy = f'let it hear the status of {before}' if at else 'update its firmware'
-    return Claim(f'answers single instructions and never the {name} of {listed(cycle.ids, 3)}'
+    return Claim(f'answers single instructions and never the {name} of {first_ids(cycle.ids, 3)}'
                  f'{place}: no plug does that; read it by single Reads, or {remedy}',
                  {name: cycle.asked,
                   'other answers in 10 s': device.window.answers - device.window.pongs},

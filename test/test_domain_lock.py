@@ -7,14 +7,14 @@ import sys
 
 import pytest
 
-from mecarover_serial.ros_domain import BENCHMARKS
-from mecarover_serial.ros_domain import DEMOS
-from mecarover_serial.ros_domain import Domain
-from mecarover_serial.ros_domain import TESTS
+from mecarover_serial.domain_lock import BENCHMARKS
+from mecarover_serial.domain_lock import DEMOS
+from mecarover_serial.domain_lock import ReservedDomain
+from mecarover_serial.domain_lock import TESTS
 
 MINE = range(1000 + os.getpid() * 2, 1002 + os.getpid() * 2)       # never one of ROS
-TAKE = 'import sys; from mecarover_serial.ros_domain import Domain; print(' \
-    'Domain(range(int(sys.argv[1]), int(sys.argv[1]) + 2)).number)'
+TAKE = 'import sys; from mecarover_serial.domain_lock import ReservedDomain; print(' \
+    'ReservedDomain(range(int(sys.argv[1]), int(sys.argv[1]) + 2)).number)'
 
 
 def test_the_kinds_share_none():
@@ -25,17 +25,17 @@ def test_the_kinds_share_none():
 
 
 def test_a_domain_has_one_holder():
-    first = Domain(MINE, start=1)
+    first = ReservedDomain(MINE, start=1)
     assert first.number == MINE[1]
     other = subprocess.run([sys.executable, '-c', TAKE, str(MINE[0])], text=True, check=True,
                            capture_output=True)
     assert int(other.stdout) == MINE[0]
-    second = Domain(MINE, start=1)                  # the other process has ended
+    second = ReservedDomain(MINE, start=1)                  # the other process has ended
     assert second.number == MINE[0]
     with pytest.raises(OSError, match='are in use by other'):
-        Domain(MINE)
+        ReservedDomain(MINE)
     first.release()
-    again = Domain(MINE)
+    again = ReservedDomain(MINE)
     assert again.number == MINE[1]
     again.release()
     second.release()
