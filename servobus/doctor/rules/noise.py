@@ -173,13 +173,15 @@ def text(case: Case) -> Claims:
     """
     Text in place of packets: of firmware of the board itself, a login prompt, AT commands.
 
-    WARN where the program ended while the board may have started.
+    WARN where the program asked, or ended, while the board started.
 
     Do: switch the board to pass-through; switch the login prompt off; stop ModemManager.
     """
-    noise = case.report.noise
-    if not noise or not case.report.is_answered \
-            or any(device.window.answers for device in case.report.devices) \
+    noise, devices = case.report.noise, case.report.devices
+    answers = any(device.window.answers for device in devices)
+    # Some answer by now: those that were asked while it started, and not again, did not.
+    was_late = any(device.window.spoilt and not device.totals.answers for device in devices)
+    if not noise or not case.report.is_answered or (answers and not was_late) \
             or not (first := first_words(noise)):
         return
     since = min(WINDOW_S, case.heard_s - BOOT_S)
@@ -192,10 +194,10 @@ def text(case: Case) -> Claims:
     elif _LOGIN.search(noise):
         yield Claim(f'{seen}: a login prompt has the port; switch that off (on Linux: systemctl '
                     'disable --now serial-getty@PORT)')
-    elif goes_on:
+    elif goes_on and not answers:
         yield Claim(f'{seen}: the board runs firmware of its own and passes nothing on to the '
                     'servos; switch it to pass-through')
-    elif case.report.failed:
+    elif case.report.failed or answers:
         yield Claim(f'{seen} while the board starts: wait 2 s after opening the port; if text '
                     'still comes then, switch the board to pass-through',
                     {}, Level.WARN)

@@ -24,6 +24,7 @@ from servobus.doctor.rule import FAMILY_1
 from servobus.doctor.rule import first_ids
 from servobus.doctor.rule import Found
 from servobus.doctor.rule import Rule
+from servobus.doctor.rules.noise import first_words
 from servobus.doctor.symptom import DAMAGE
 from servobus.doctor.symptom import SILENCE
 from servobus.doctor.thresholds import INCIDENTS_MIN
@@ -61,7 +62,8 @@ def factory_id(case: Case) -> Claims:
               and device.last_heard_s is None
               and max(device.missed_in_a_row, device.acks_missing) >= INCIDENTS_MIN
               and 2 * device.window.garbled <= device.window.missed]
-    if first is None or not absent or not _clashes(case, first):
+    if first is None or not absent or not _clashes(case, first) \
+            or first_words(case.report.noise):             # of a board that starts
         return
     yield Claim(f'several servos answer as 001, and {first_ids(absent, 3)} never did: '
                 'new ones still have ID 1; connect one at a time and give each its own ID',
