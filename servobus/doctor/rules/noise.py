@@ -178,11 +178,12 @@ def text(case: Case) -> Claims:
     Do: switch the board to pass-through; switch the login prompt off; stop ModemManager.
     """
     noise, devices = case.report.noise, case.report.devices
+    if not noise or not case.report.is_answered:
+        return
     answers = any(device.window.answers for device in devices)
     # Some answer by now: those that were asked while it started, and not again, did not.
     was_late = any(device.window.spoilt and not device.totals.answers for device in devices)
-    if not noise or not case.report.is_answered or (answers and not was_late) \
-            or not (first := first_words(noise)):
+    if (answers and not was_late) or not (first := first_words(noise)):
         return
     since = min(WINDOW_S, case.heard_s - BOOT_S)
     goes_on = since > 0 and case.increase_of('bytes', since) \

@@ -63,7 +63,7 @@ def factory_id(case: Case) -> Claims:
               and max(device.missed_in_a_row, device.acks_missing) >= INCIDENTS_MIN
               and 2 * device.window.garbled <= device.window.missed]
     if first is None or not absent or not _clashes(case, first) \
-            or first_words(case.report.noise):             # of a board that starts
+            or first_words(case.report.noise):             # a board that starts
         return
     yield Claim(f'several servos answer as 001, and {first_ids(absent, 3)} never did: '
                 'new ones still have ID 1; connect one at a time and give each its own ID',
