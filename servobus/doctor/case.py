@@ -55,7 +55,7 @@ WEAK_MIN_DAMAGED = 5               # answers in the window; of as many one may h
 SPEED_AT_REST = 2                  # units of Present Velocity: as much noise has one at rest
 SIGN_BIT = 0x8000
 
-_DAMAGE_KINDS = (ev.DAMAGED_STATUS, ev.DAMAGED_INSTRUCTION, ev.CUT, ev.BAD_LENGTH)
+DAMAGE_KINDS = (ev.DAMAGED_STATUS, ev.DAMAGED_INSTRUCTION, ev.CUT, ev.BAD_LENGTH)
 _SAMPLED = ('Goal Position', 'Present Position', 'Realtime Tick', 'Present Input Voltage')
 
 
@@ -161,7 +161,7 @@ class Case:
     @cached_property
     def damage(self) -> int:
         """How many frames in the window were damaged."""
-        return sum(self.count(kind) for kind in _DAMAGE_KINDS)
+        return sum(self.count(kind) for kind in DAMAGE_KINDS)
 
     @cached_property
     def packets(self) -> int:
@@ -179,7 +179,7 @@ class Case:
     @cached_property
     def damage_s(self) -> float:
         """For how long the damage has gone on, s."""
-        stamps = [one.stamp for kind in _DAMAGE_KINDS
+        stamps = [one.stamp for kind in DAMAGE_KINDS
                   for one in self.incidents_by_kind.get(kind, ())]
         return (max(stamps) - min(stamps)) / NS_PER_S if stamps else 0.0
 

@@ -20,6 +20,7 @@ from servobus.bus import report as words
 from servobus.bus.report import BusReport
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import Finding
+from servobus.doctor.case import DAMAGE_KINDS
 from servobus.doctor.facts import is_rate_search
 from servobus.doctor.rule import PORT
 from servobus.doctor.rule import STOP_OTHERS
@@ -35,7 +36,6 @@ from servobus.doctor.thresholds import INCIDENTS_MIN
 NOISE_BYTES_MIN_SHARE = 0.05
 NOISE_MIN_BYTES = 30               # three packets
 _LOST = (words.DISCONNECTED, words.EXPECTED, words.ASKED)    # one that waits is not the cause
-_DAMAGE = ev.DAMAGED_STATUS, ev.DAMAGED_INSTRUCTION, ev.CUT, ev.BAD_LENGTH
 
 
 class _Symptom(NamedTuple):
@@ -82,7 +82,7 @@ def _symptoms(report: BusReport) -> Iterator[_Symptom]:
         yield from (_missed(report, one) for one in report.devices if _misses_answers(report, one))
     counters = report.counters
     noise = counters.get('Noise Bytes', 0)
-    damaged = sum(report.kinds.get(kind, 0) for kind in _DAMAGE)
+    damaged = sum(report.kinds.get(kind, 0) for kind in DAMAGE_KINDS)
     unknown = report.kinds.get(ev.UNKNOWN_INSTRUCTION, 0)
     if counters['Bytes'] and not counters['Packets'] and report.is_answered:
         yield _Symptom({'no packets'}, f'{counters["Bytes"]} bytes, but no packet',
