@@ -6,6 +6,7 @@ The in-process tap: masters that know nothing of it, heard to the byte, and neve
 The oracle is the other end of the cable: the far side of a pty notes what came and what it sent.
 """
 
+from collections import deque
 from contextlib import contextmanager
 from importlib.util import find_spec
 import os
@@ -45,6 +46,7 @@ from servobus.sources.tap_reader import TapRecord
 from servobus.sources.tap_sender import folder
 from servobus.sources.tap_sender import OPENED
 from servobus.sources.tap_sender import record
+from servobus.sources.tap_sender import Sender
 from servobus.tools.start_program import environment
 
 pytestmark = pytest.mark.realtime(bears=0.02)
@@ -286,6 +288,32 @@ def test_a_program_that_closes_descriptors_gets_no_byte_of_ours(how, limit, tmp_
         told += reader.rest()
         assert heard(told, OUT, far.pty.path) == far.got != b''
         assert [one for one in told if one.kind == LOST] == []
+
+
+def test_records_that_are_taken_while_the_program_closes_descriptors_are_heard():
+    class Queue(deque):
+        def popleft(self):
+            if self[0][3] == b'closes' and not gone:
+                gone.append(max(sockets() - before))
+                os.close(gone[0])
+            return super().popleft()
+
+    def sockets():
+        return {int(one.name) for one in Path('/proc/self/fd').iterdir()
+                if os.path.islink(one) and os.readlink(one).startswith('socket:')}
+
+    gone = []
+    with TapReader('robot') as reader:
+        before = sockets()
+        sender = Sender('robot')
+        port = sender.opened('/dev/robot', 1_000_000)
+        told = listen(reader, lambda told: BAUD in [one.kind for one in told])
+        sender.queue = Queue([(OUT, port, time.monotonic_ns(), data)
+                              for data in (b'first', b'closes', b'last')])
+        told = listen(reader, lambda told: b'last' in [one.data for one in told])
+        sender.end()
+    assert heard(told, OUT, '/dev/robot') == b'firstcloseslast'
+    assert LOST not in [one.kind for one in told]
 
 
 @pytest.mark.parametrize(('script', 'words'), [

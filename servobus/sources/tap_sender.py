@@ -325,18 +325,24 @@ class Sender:
     def _send(self) -> None:
         if self._missed:                       # a reader is looked for again
             return
-        records: list[bytes] = []
-        while self.queue and len(records) < QUEUED_RECORDS_MAX:
-            one = self.queue.popleft()
-            records.append(record(*one))
-            if one[0] == OPENED:
-                self._announced.add(one[1])
-        if self.lost:
-            lost, self.lost = self.lost, 0
+        taken = [self.queue.popleft() for _ in range(min(len(self.queue), QUEUED_RECORDS_MAX))]
+        opened = {number for kind, number, _, _ in taken if kind == OPENED}
+        self._announced |= opened
+        records = [record(*one) for one in taken]
+        lost, self.lost = self.lost, 0
+        if lost:
             records.append(lost_record(lost))
         for path, reader in list(self._readers.items()):
-            if not reader.send(records):
-                self._drop(path, len(records))
+            if reader.send(records):
+                continue
+            before = len(reader.pending) - sum(map(len, records))
+            if reader.is_ours() or len(self._readers) > 1 or not 0 <= before < PENDING_MAX_BYTES:
+                self._drop(path, len(taken))
+            else:                              # it got none of these: the next connection does
+                self._drop(path, before > 0)
+                self.queue.extendleft(reversed(taken))
+                self._announced -= opened
+                self.lost += lost
 
     def _drop(self, path: str, missed: int) -> None:
         """
