@@ -38,6 +38,7 @@ from servobus.model.control_table import Model
 BOOT_NS = 200_000_000            # deaf after a start
 WATCHDOG_UNIT_NS = 20_000_000
 
+_KEPT_BY_RESET = {b'\xff': (), b'\x01': ('ID',), b'\x02': ('ID', 'Baud Rate')}
 _CLEAR_KEYS = (b'\x01DXL"', b'\x01ERCL', b'\x02ERCL')     # P1 of Error Clear: sources disagree
 
 
@@ -157,14 +158,11 @@ class FakeDevice(Registers):
 
     def read(self, address: int, length: int, now: int) -> Reply:
         """Return the registers from `address` on."""
-        end = address + length
-        if not self.is_readable(address, end):
+        if not self.is_readable(address, address + length):
             return Reply(ACCESS)
-        self._refresh(address, end, now)
-        if self.redirects(address, end):
-            self._refresh(0, len(self.image), now)
-            return Reply(OK, bytes(self.image[self.resolve(at)] for at in range(address, end)))
-        return Reply(OK, bytes(self.image[address:end]))
+        places = [self.resolve(at) for at in range(address, address + length)]
+        self._refresh(set(places), now)
+        return Reply(OK, bytes(self.image[at] for at in places))
 
     def write(self, address: int, data: bytes, now: int) -> Reply:
         """Write registers; all or nothing."""
@@ -176,11 +174,10 @@ class FakeDevice(Registers):
             self._after_write(address, address + len(data), was_torque, angle)
         return Reply(error)
 
-    def _refresh(self, address: int, end: int, now: int) -> None:
-        state = None
+    def _refresh(self, places: set[int], now: int) -> None:
+        state = self._state(now)
         for first, last, value in self._live:
-            if first < end and last > address:
-                state = state or self._state(now)
+            if not places.isdisjoint(range(first, last)):
                 self.image[first:last] = value(state)
 
     def _state(self, now: int) -> LiveState:
@@ -243,14 +240,13 @@ class FakeDevice(Registers):
         return self.write(address, data, now)
 
     def _on_factory_reset(self, params: bytes, now: int) -> Reply:
-        if params[:1] not in (b'\xff', b'\x01', b'\x02'):
+        names = _KEPT_BY_RESET.get(params[:1])
+        if names is None:
             return Reply(INSTRUCTION)
-        number, code = self.id, self.get('Baud Rate')
+        kept = {name: self.get(name) for name in names}
         self.image[:] = self.factory
-        if params[0] != 0xFF:
-            self.set('ID', number)
-        if params[0] == 0x02:
-            self.set('Baud Rate', code)
+        for name, raw in kept.items():
+            self.set(name, raw)
         self._follow_address()
         self.restart(now)
         return Reply(OK)
