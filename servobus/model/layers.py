@@ -46,10 +46,11 @@ def model_key(number: int, protocol: str = '2') -> int:
 
 
 class Definition(NamedTuple):
-    """One file as it is; numbers: name by model_key()."""
+    """One file as it is; numbers: name by model_key(); older: the last firmware of each table."""
 
     path: Path
     numbers: dict[int, str]
+    older: tuple[int, ...]
     torque_constants: dict[int, float]
     protocol: str
     raw: Raw
@@ -107,29 +108,17 @@ class Layers:
             self._definitions[path] = _outline(path)
         return self._definitions[path]
 
-    def variants(self, path: Path) -> list[int | None]:
-        """None for the newest firmware, and the last firmware of each older table."""
-        raw = self.definition(path).raw.get('firmware', [])
-        check = Check(path, 'firmware')
-        found: list[int | None] = [None]
-        for entry in check.sequence(raw, 'firmware'):
-            check.mapping(entry, VARIANT_KEYS)
-            found.append(check.integer(entry.get('up_to'), 'up_to', 0, 255))
-        return found
-
     def variant(self, path: Path, firmware: int | None) -> int | None:
-        """Which of the variants a device with this firmware has."""
-        last = [up_to for up_to in self.variants(path) if up_to is not None]
-        if firmware is None or not last:
-            return None
-        return min((up_to for up_to in last if firmware <= up_to), default=None)
+        """Return which older table a device with this firmware has, None for the newest one."""
+        return min((up_to for up_to in self.definition(path).older
+                    if firmware is not None and firmware <= up_to), default=None)
 
     def check(self, path: Path) -> None:
         """Build all that the file describes; mistakes go to report, or are raised."""
         definition = self.definition(path)
         if not definition.numbers:
             self._layer(path, ())
-        for variant in self.variants(path):
+        for variant in (None, *definition.older):
             for number in definition.numbers:
                 self._whole_layer(definition, number, variant)
 
@@ -263,7 +252,16 @@ def _outline(path: Path) -> Definition:
     check.choice(raw.get('byte_order', 'little'), 'byte_order', BYTE_ORDERS)
     protocol = check.choice(raw.get('protocol', '2'), 'protocol', PROTOCOLS)
     keys = {model_key(number, protocol): name for number, name in numbers.items()}
-    return Definition(path, keys, _torque_constants(raw, path), protocol, raw)
+    return Definition(path, keys, _older_tables(raw, path), _torque_constants(raw, path),
+                      protocol, raw)
+
+
+def _older_tables(raw: Raw, path: Path) -> tuple[int, ...]:
+    check = Check(path, 'firmware')
+    entries = check.sequence(raw.get('firmware', []), 'firmware')
+    for entry in entries:
+        check.mapping(entry, VARIANT_KEYS)
+    return tuple(check.integer(entry.get('up_to'), 'up_to', 0, 255) for entry in entries)
 
 
 def _torque_constants(raw: Raw, path: Path) -> dict[int, float]:

@@ -9,6 +9,7 @@ it.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from collections.abc import Sequence
 from itertools import groupby
 import os
@@ -182,12 +183,17 @@ def _heard(bus: BusSummary) -> list[DeviceGroup]:
     found = []
     for kind, many in groupby(bus.report.devices, key=_kind):
         devices = list(many)
-        place = f'{bus.name}/' if bus.name else ''
-        who = ', '.join(f'{place}{span}' for span in spans((one.id for one in devices), ID))
-        if len(devices) == 1 and devices[0].joint:
-            who = f'{place}{devices[0].name}'
+        who = _spans(bus, (one.id for one in devices))
+        if len(devices) == 1:
+            who = f'{who} {devices[0].joint}'.rstrip()
         found.append(DeviceGroup(printable(who), printable(kind[0]), kind[1]))
     return found
+
+
+def _spans(bus: BusSummary, ids: Iterable[int]) -> str:
+    """Return devices as '001-006, 008', each with its bus where there are several."""
+    place = f'{bus.name}/' if bus.name else ''
+    return ', '.join(place + span for span in spans(ids, ID))
 
 
 def _kind(device: DeviceReport) -> tuple[str, Level]:
@@ -238,9 +244,7 @@ def _entry(bus: BusSummary, alike: Sequence[LoggedFinding]) -> Trouble:
     who = bus.who(first.device)
     if len(alike) > 1:
         numbers = {one.finding.device for one in alike}
-        place = f'{bus.name}/' if bus.name else ''
-        who = ', '.join(place + span for span in spans(
-            (device.id for device in bus.report.devices if device.id in numbers), ID))
+        who = _spans(bus, (device.id for device in bus.report.devices if device.id in numbers))
     return Trouble(first.level, who, first.rule, printable(first.message), _evidence(alike[0]))
 
 

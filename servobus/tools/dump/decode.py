@@ -7,11 +7,11 @@ The one place that knows; text_format.py makes text of it, json.py JSON. Names a
 come from the models, indirect data from where they point; without a model there are raw bytes.
 """
 
-from collections.abc import Iterator
+from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 from msg_defs.dxl_instruction import Access
-from msg_defs.dxl_packet import Packet
 from servobus.bus.table import Table
 from servobus.model.control_table import Field
 from servobus.model.control_table import Model
@@ -60,7 +60,6 @@ class Interpreter:
 
     def __init__(self, listing: Listing) -> None:
         self._listing = listing
-        self._layouts: dict[tuple[Model, int, int, tuple[int, ...]], Layout] = {}
 
     def parts(self, entry: Entry) -> list[Part]:
         """Return what an instruction or a status is about, in the order on the wire."""
@@ -73,7 +72,9 @@ class Interpreter:
             accesses = {access.id: access for access in entry.request.accesses}
             return [self._part(accesses[block.id], block.data, block.error)
                     for block in entry.blocks]
-        return list(self._answer(packet, entry.request.accesses))
+        return [self._part(access, packet.params) for access in entry.request.accesses
+                if access.id == packet.id and access.data is None
+                and access.length == len(packet.params)]
 
     def identity(self, entry: Entry) -> PingAnswer | None:
         """Return what the answer to a Ping says, None for anything else."""
@@ -85,16 +86,10 @@ class Interpreter:
         return PingAnswer(packet.params[0] | packet.params[1] << 8,
                         '' if model is UNKNOWN else model.name, packet.params[2])
 
-    def _answer(self, packet: Packet, accesses: tuple[Access, ...]) -> Iterator[Part]:
-        for access in accesses:
-            if access.id == packet.id and access.data is None \
-                    and access.length == len(packet.params):
-                yield self._part(access, packet.params)
-
     def _part(self, access: Access, data: bytes | None, error: int = 0) -> Part:
         device = self._listing.device(access.id)
         model, table = (UNKNOWN, _NOTHING) if device is None else (device.model, device.table)
-        layout = self._layout(model, access, table)
+        layout = _layout(model, access, table)
         fields = tuple(field if field.cases is None else table.in_force(field, model)
                        for field, _ in layout)
         values = () if data is None else tuple(
@@ -102,23 +97,16 @@ class Interpreter:
             for field, (_, indices) in zip(fields, layout, strict=True))
         return Part(access.id, model, access.address, access.length, data, fields, values, error)
 
-    def _layout(self, model: Model, access: Access, table: Table) -> Layout:
-        """Return the fields that lie wholly in a range, and which of its bytes are theirs."""
-        _, address, length, _ = access
-        if model is UNKNOWN or length > DATA_MAX_BYTES:
-            return ()
-        targets: tuple[int, ...] = ()
-        if any(one.data < address + length and address < one.data + one.size
-               for one in model.indirect):
-            targets = _targets(model, access, table)
-        key = model, address, length, targets
-        layout = self._layouts.get(key)
-        if layout is None:
-            if len(self._layouts) >= LAYOUTS_MAX:
-                self._layouts.clear()
-            layout = self._layouts[key] = _lay_out(
-                model, targets or tuple(range(address, address + length)))
-        return layout
+
+def _layout(model: Model, access: Access, table: Table) -> Layout:
+    """Return the fields that lie wholly in a range, and which of its bytes are theirs."""
+    _, address, length, _ = access
+    if model is UNKNOWN or length > DATA_MAX_BYTES:
+        return ()
+    is_indirect = any(one.data < address + length and address < one.data + one.size
+                      for one in model.indirect)
+    return _lay_out(model, _targets(model, access, table) if is_indirect
+                    else range(address, address + length))
 
 
 def _targets(model: Model, access: Access, table: Table) -> tuple[int, ...]:
@@ -141,7 +129,8 @@ def _targets(model: Model, access: Access, table: Table) -> tuple[int, ...]:
     return tuple(targets)
 
 
-def _lay_out(model: Model, targets: tuple[int, ...]) -> Layout:
+@lru_cache(LAYOUTS_MAX)
+def _lay_out(model: Model, targets: Sequence[int]) -> Layout:
     index_of = {target: index for index, target in enumerate(targets)}
     found = [(field, tuple(index_of[at] for at in range(field.at, field.end)))
              for field in model.fields

@@ -46,15 +46,15 @@ def fit(text: str, width: int) -> str:
 
 class Lines:
     """
-    Makes lines from entries, in order. width None: as long as they are.
+    Makes lines from entries, in order. width: they are cut to it, None: as long as they are.
 
     show_time: 'start' (seconds since the first line), 'clock' (local time) or 'epoch'.
     """
 
-    def __init__(self, width: int | None, colours: bool, show_bus: bool, show_time: str) -> None:
-        self.width = width
+    def __init__(self, colours: bool, show_time: str) -> None:
+        self.width: int | None = None
+        self.show_bus = False
         self._colours = colours
-        self.show_bus = show_bus
         self.has_sides = False             # the source knows who put what on the wire
         self._show_time = show_time
         self._first: int | None = None

@@ -58,8 +58,8 @@ class Session:
         self._recording = open_recording(self._source, options)
         self._packets = self._recording if isinstance(self._recording, PacketRecording) else None
         self._monitors: dict[str, Monitor] = {}
-        self._screen = Screen(sys.stdout, options.colours)
-        self._lines: Lines | None = None
+        self._screen = Screen(sys.stdout)
+        self._lines = Lines(options.colours, options.time)
         self._shown = 0
         self._bytes = 0
         self._first: int | None = None
@@ -137,20 +137,18 @@ class Session:
         parts = interpreter.parts(entry)
         identity = interpreter.identity(entry)
         if not self._options.json:
-            line = self._columns().line(bus, stamp, entry, parts, identity)
+            self._fit_lines()
+            line = self._lines.line(bus, stamp, entry, parts, identity)
         elif entry.packet is not None:
             line = json_line(bus, stamp // 1000, entry.packet, entry, parts, identity)
         self._shown += entry.packet is not None
         sys.stdout.write(line + '\n')
 
-    def _columns(self) -> Lines:
-        """Return what makes lines, for the terminal as wide as it is now."""
-        if self._lines is None:
-            self._lines = Lines(None, self._options.colours, False, self._options.time)
+    def _fit_lines(self) -> None:
+        """Make lines for the terminal as wide as it is now, and the buses that are known now."""
         is_cut = self._screen.is_terminal and not self._options.full
         self._lines.width = self._screen.width if is_cut else None
         self._lines.show_bus = len(self._source.wires) > 1
-        return self._lines
 
     def _has_enough(self) -> bool:
         count: int | None = self._options.count

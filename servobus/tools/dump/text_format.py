@@ -32,15 +32,18 @@ _REASONS = {
 FLAWS = {'crc': 'wrong CRC', 'cut': 'ends too early', 'length': 'impossible Length'}
 
 
+def runs(numbers: Iterable[int]) -> list[tuple[int, int]]:
+    """Return first and last of each run: of 1, 2, 3, 9 it is (1, 3), (9, 9)."""
+    found: list[tuple[int, int]] = []
+    for number in numbers:
+        first = found.pop()[0] if found and number == found[-1][1] + 1 else number
+        found.append((first, number))
+    return found
+
+
 def spans(ids: Iterable[int], spelt: str = '{}') -> list[str]:
     """Return '1-20', '22': runs of IDs in the order given."""
-    runs: list[list[int]] = []
-    for number in ids:
-        if runs and number == runs[-1][-1] + 1:
-            runs[-1][1:] = [number]
-        else:
-            runs.append([number])
-    return ['-'.join(map(spelt.format, run)) for run in runs]
+    return ['-'.join(map(spelt.format, dict.fromkeys(run))) for run in runs(ids)]
 
 
 def error_words(error: int) -> str:

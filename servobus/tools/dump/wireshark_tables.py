@@ -3,13 +3,13 @@
 """The tables of the Wireshark dissector: names, errors and control tables, as a file in Lua."""
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 
 from msg_defs import dxl1_instruction
 from msg_defs import dxl_instruction
 from servobus.model.control_table import Field
 from servobus.model.models import Models
+from servobus.tools.dump.text_format import runs
 
 FILE_NAME = 'servobus_tables.lua'
 _HEAD = """-- Copyright 2026 The mecarover_serial authors
@@ -40,7 +40,8 @@ def wireshark_tables(models: Models) -> str:
         numbers = [registers.setdefault(_lua(_register(one)), len(registers) + 1)
                    for one in (model.fields if model else ())
                    if not one.name.startswith('Indirect ')]
-        models_found[number] = [name, layouts.setdefault(_lua(_runs(numbers)), len(layouts) + 1)]
+        ends = [end for run in runs(numbers) for end in run]
+        models_found[number] = [name, layouts.setdefault(_lua(ends), len(layouts) + 1)]
     names, feetech = ({int(code): dxl_instruction.name_of(code) for code in dialect.entries}
                       for dialect in (dxl1_instruction.DYNAMIXEL_1, dxl1_instruction.FEETECH))
     parts = {
@@ -64,17 +65,6 @@ def _register(one: Field) -> list[object]:
              dict(one.enum or {}) or None, not plain]
     while not found[-1]:               # what is left out is nil
         del found[-1]
-    return found
-
-
-def _runs(numbers: Iterable[int]) -> list[int]:
-    """Return numbers as first and last of each run: [1, 2, 3, 9] is [1, 3, 9, 9]."""
-    found: list[int] = []
-    for number in numbers:
-        if found and number == found[-1] + 1:
-            found[-1] = number
-        else:
-            found += [number, number]
     return found
 
 
