@@ -47,7 +47,7 @@ _SCHEMA = f"""
 """
 _FAR = 1e12                     # beyond this a value is not a measurement
 _UNKNOWN = (1, 0)               # low above high: the value is not known, and not carried forward
-_Pairs = tuple[tuple[int, int], ...]
+_Pairs = tuple[tuple[int | None, int | None], ...]
 
 
 class Subject(NamedTuple):
@@ -109,7 +109,7 @@ class HistoryWriter:
         self._sources: dict[str, tuple[int, str]] = {
             name: (number, unit) for number, name, unit in self._database.execute(
                 'SELECT id, name, unit FROM sources')}
-        self._written: dict[int, tuple[int, _Pairs, _Pairs | None]] = {}
+        self._written: dict[int, tuple[int, _Pairs]] = {}      # the last window of each source
 
     def _prepare(self) -> None:
         run = self._database.execute
@@ -172,17 +172,15 @@ class HistoryWriter:
     def _row(self, window: Window) -> list[int | None]:
         """Return what is stored of a window: what differs from the one before."""
         number = self._number(window.source)
-        at, pairs, before = self._written.get(number, (0, (), None))
-        if at != window.at:
-            follows = at == window.at - WINDOW_S and window.at % WHOLE_S
-            before = pairs if follows else None
-            if window.at < at:
-                self._make_room(number, window.at)
+        at, before = self._written.get(number, (0, ()))
+        if window.at < at:
+            self._make_room(number, window.at)
         new = tuple(map(_stored, window.lows, window.highs))
-        self._written[number] = window.at, new, before
-        kept = new if before is None else [
-            (None, None) if pair == old else pair for pair, old in zip(new, before, strict=True)]
-        row = [end for pair in kept for end in pair]
+        self._written[number] = window.at, new
+        if at != window.at - WINDOW_S or window.at % WHOLE_S == 0:
+            before = ((None, None),) * len(new)         # it is stored whole
+        row = [None if pair == old else end
+               for pair, old in zip(new, before, strict=True) for end in pair]
         return [window.at, number, window.level, *row, *[None] * (len(_COLUMNS) - len(row))]
 
     def _make_room(self, number: int, at: int) -> None:
@@ -264,12 +262,10 @@ class HistoryReader:
                 old if new is None else new
                 for new, old in zip(stored[:2 * count], before, strict=True))
             if at >= from_s // WINDOW_S * WINDOW_S:
-                lows, highs = pairs[::2], pairs[1::2]
-                known = [low <= high for low, high in zip(lows, highs, strict=True)]
-                yield Window(at, source, level, *(
-                    tuple(value / 1000 if is_known else None
-                          for value, is_known in zip(ends, known, strict=True))
-                    for ends in (lows, highs)))
+                ends = [(low / 1000, high / 1000) if low <= high else (None, None)
+                        for low, high in zip(pairs[::2], pairs[1::2], strict=True)]
+                yield Window(at, source, level, tuple(low for low, _ in ends),
+                             tuple(high for _, high in ends))
 
     def _rows(self, begin: int, end: int, wanted: list[int]) -> Iterator[tuple[int, ...]]:
         marks = ', '.join(map(str, wanted))

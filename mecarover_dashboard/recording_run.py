@@ -45,8 +45,7 @@ class RecordingRun(SourceRun):
     """
 
     def __init__(self, tool: str, options: argparse.Namespace, feed: Feed, at_once: bool) -> None:
-        super().__init__(options, options.source[0], feed)
-        self._tool = tool
+        super().__init__(tool, options, options.source[0], feed)
         self._at_once = at_once
         self._is_on = True
         self._wanted_s: float | None = None
