@@ -25,8 +25,8 @@ from hypothesis import settings
 import pytest
 from realtime import Rerun
 
-from mecarover_serial.domain_lock import ReservedDomain
-from mecarover_serial.domain_lock import TESTS
+from mecarover_fakes.domain_lock import ReservedDomain
+from mecarover_fakes.domain_lock import TESTS
 from servobus.internal_fault import LOG
 
 # What scripts/test leaves to scripts/test --all, by mark; but the mark smoke is for both.
