@@ -4,8 +4,8 @@
 A robot that consists of what it publishes: device, bus, bridge and timing statuses, as bytes.
 
 The statuses are made by the same functions as those of the nodes, but for those of the bridge:
-test_bridge_status.py compares these. `serialise` turns them into what a subscription gets, so that
-the dashboard can be tested without ROS.
+test_synthetic_robot.py compares these. `serialise` turns them into what a subscription gets, so
+that the dashboard can be tested without ROS.
 """
 import math
 from pathlib import Path

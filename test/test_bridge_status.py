@@ -7,8 +7,6 @@ import re
 from types import SimpleNamespace
 
 import pytest
-from synthetic_robot import NO_COMMANDS
-from synthetic_robot import SyntheticRobot
 import yaml
 
 from mecarover_fakes.guarded_receiver import GuardedReceiver
@@ -30,14 +28,11 @@ from vel2d_bridge.bridge_status import commands_status
 from vel2d_bridge.bridge_status import link_status
 from vel2d_bridge.bridge_status import refusal
 from vel2d_bridge.gate import Counters
-from vel2d_bridge.gate import FrameKind
 from vel2d_bridge.gate import Outcome
 from vel2d_bridge.gate import SECOND
-from vel2d_bridge.graph import Absence
 from vel2d_bridge.graph import Choice
 from vel2d_bridge.link import LinkState
 from vel2d_bridge.mcu_log import McuLog
-from vel2d_bridge.pacer import Sent
 
 PORT = '/dev/ttyAMA0'
 OPEN = LinkState(
@@ -285,22 +280,3 @@ def test_a_limit_that_is_taken_away_is_said():
     before = {'max_linear_x': 0.5, 'max_linear_y': 0.0, 'max_angular_z': 1.0, 'max_stamp_age': 0.0}
     assert removed_limits(before, before | {'max_linear_x': 0.0, 'max_angular_z': 0.5}) == [
         'max_linear_x: now 0, so there is no limit any more; it was 0.5']
-
-
-@pytest.mark.parametrize(('velocity', 'problem', 'absence'), [
-    ((0.32, 0.11, 0.6), '', ''), ((0.0, -0.25, 0.0), '', ''), ((0.0, 0.0, 0.0), '', ''),
-    ((0.0, 0.0, 0.0), '/dev/ttyAMA0: gone; plug it in', Absence.words('/cmd_vel'))])
-def test_what_the_page_is_tested_with(velocity, problem, absence):
-    """Its tests do without this package."""
-    robot = SyntheticRobot({})
-    robot.velocity, robot.bridge_problem, robot.absence = velocity, problem, absence
-    state = OPEN._replace(
-        is_open=not problem, problem=problem or None, frames=2000, driving=any(velocity),
-        last=Sent(0, Vel2d(*velocity), FrameKind.COMMAND, 90_000, None))
-    counters = Counters()
-    counters.received = counters.accepted = 1000
-    counters.time_outs = 2
-    assert robot.bridge(100.0) == [
-        link(state, now=241_500_000_000),
-        commands(state, HEARD._replace(absence=absence), counters)]
-    assert absence in ('', NO_COMMANDS)

@@ -7,7 +7,6 @@ Each rule is one test over all files, which lists every place that breaks it.
 """
 import ast
 from collections import defaultdict
-from functools import cache
 import io
 import os
 from pathlib import Path
@@ -15,17 +14,13 @@ import re
 import statistics
 import tokenize
 
-ROOT = Path(__file__).parents[1]
-LAYERS = {                              # package: what of ours it may import
-    'msg_defs': {'msg_defs'},
-    'servobus': {'msg_defs', 'servobus'},
-    'mecarover_serial': {'msg_defs', 'servobus', 'mecarover_serial'},
-    'vel2d_bridge': {'msg_defs', 'servobus', 'mecarover_serial', 'vel2d_bridge'},
-    'dxl_monitor': {'msg_defs', 'servobus', 'mecarover_serial', 'dxl_monitor'},
-    'mecarover_dashboard': {'msg_defs', 'servobus', 'mecarover_serial', 'mecarover_dashboard'},
-    'mecarover_fakes': {'msg_defs', 'servobus', 'mecarover_serial', 'mecarover_dashboard',
-                        'mecarover_fakes'},
-}
+from rigs.packages import imported
+from rigs.packages import imports
+from rigs.packages import LAYERS
+from rigs.packages import modules
+from rigs.packages import parsed
+from rigs.packages import ROOT
+
 # Rooms of servobus: its folders, and what its other modules are.
 BASE = ('errors', 'plain', 'internal_fault', 'worker')
 CORE = ('monitor', 'joints', 'signals', 'status')
@@ -46,22 +41,6 @@ ROS = ('rclpy', 'rcl_interfaces', 'launch', 'launch_ros', 'ament_index_python', 
 PURE = ('msg_defs', 'servobus/bus', 'servobus/doctor')      # no IO, no clock
 IO = {'os', 'socket', 'select', 'time', 'serial', 'subprocess', 'pathlib'}
 FILES = [path for package in LAYERS for path in sorted((ROOT / package).rglob('*.py'))]
-
-
-@cache
-def parsed(path):
-    return ast.parse(path.read_text())
-
-
-def imports(path, known=()):
-    """Yield what a file imports; `from a import b` is a.b if that is a known module."""
-    for node in ast.walk(parsed(path)):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f'{path}: relative import'
-            yield from {full if (full := f'{node.module}.{alias.name}') in known else node.module
-                        for alias in node.names}
 
 
 def is_ros(module):
@@ -96,19 +75,6 @@ def test_imports_go_downward():
 def test_benchmarks_use_the_rigs_and_no_rig_a_benchmark():
     assert [path.name for path in (ROOT / 'test/rigs').rglob('*.py')
             if any(module.startswith('benchmark') for module in imports(path))] == []
-
-
-def modules():
-    """Return the file of each module of ours, equipment among it, by its name in imports."""
-    return {'.'.join(path.relative_to(place).with_suffix('').parts).removesuffix('.__init__'): path
-            for place, folders in ((ROOT, (*LAYERS, 'docs')),
-                                   (ROOT / 'test', ('benchmark', 'rigs', 'fuzz')))
-            for folder in folders for path in (place / folder).rglob('*.py')}
-
-
-def imported(path, known):
-    """Return which of the known modules a file imports, wherever in it."""
-    return sorted(set(imports(path, known)) & known.keys())
 
 
 def circle_in(arrows):
