@@ -20,6 +20,7 @@ from rigs.packages import LAYERS
 from rigs.packages import modules
 from rigs.packages import parsed
 from rigs.packages import ROOT
+import servobus
 
 # Rooms of servobus: its folders, and what its other modules are.
 BASE = ('errors', 'plain', 'internal_fault', 'worker')
@@ -36,6 +37,8 @@ ROOMS = {                               # room of servobus: which others it may 
     'tools': {'base', 'model', 'bus', 'doctor', 'core', 'port', 'sources', ''},
 }
 BRIDGE_USES = {'base', 'port'}          # of servobus: it drives, and knows no servos
+OTHERS_USE = ROOMS.keys() - {'bus', 'doctor'}       # but for the modules of public names
+PUBLIC = {'servobus.doctor', *(getattr(servobus, name).__module__ for name in servobus.__all__)}
 ROS = ('rclpy', 'rcl_interfaces', 'launch', 'launch_ros', 'ament_index_python', 'std_srvs',
        'builtin_interfaces')
 PURE = ('msg_defs', 'servobus/bus', 'servobus/doctor')      # no IO, no clock
@@ -107,16 +110,32 @@ def room_of(parts):
         else 'core' if parts[1] in CORE else ''
 
 
+def rooms_for(module):
+    """Return which rooms of servobus a module may import, from the parts of its name."""
+    if module[0] == 'servobus':
+        return {*ROOMS[room_of(module)], room_of(module)}
+    return BRIDGE_USES if module[0] == 'vel2d_bridge' else \
+        OTHERS_USE if module[0] in LAYERS else ROOMS
+
+
 def test_arrows_between_rooms_go_downward():
     wrong = []
     for name, path in modules().items():
-        here = name.split('.')
-        for module in imports(path, modules()):
-            there = module.split('.')
-            allowed = BRIDGE_USES if here[0] == 'vel2d_bridge' else \
-                {*ROOMS[room_of(here)], room_of(here)} if here[0] == 'servobus' else ROOMS
-            if there[0] == 'servobus' and room_of(there) not in allowed:
-                wrong.append(f'{name} imports {module}')
+        allowed = rooms_for(name.split('.'))
+        public = PUBLIC if allowed is OTHERS_USE else ()
+        wrong += [f'{name} imports {module}' for module in imports(path, modules())
+                  if module.partition('.')[0] == 'servobus' and module not in public
+                  and room_of(module.split('.')) not in allowed]
+    assert wrong == []
+
+
+def test_no_package_imports_private_names_of_another():
+    wrong = []
+    for path in FILES:
+        others = tuple(f'{one}.' for one in LAYERS.keys() - {path.relative_to(ROOT).parts[0]})
+        wrong += [f'{path} imports {node.module}.{one.name}' for node in ast.walk(parsed(path))
+                  if isinstance(node, ast.ImportFrom) and f'{node.module}.'.startswith(others)
+                  for one in node.names if '._' in f'{node.module}.{one.name}']
     assert wrong == []
 
 
