@@ -18,7 +18,7 @@ import time
 from mecarover_dashboard.feed import Feed
 from msg_defs.event import Chunk
 from servobus.bus.report import BusReport
-from servobus.doctor.case import OPTIONS
+from servobus.doctor import OPTIONS
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 from servobus.monitored_bus import MonitoredBus

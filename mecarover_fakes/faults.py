@@ -20,7 +20,7 @@ from mecarover_fakes.fault import Fault
 from mecarover_fakes.fault import FaultScope
 from mecarover_fakes.fault import Play
 from mecarover_fakes.fault import S
-from mecarover_serial.parameters import did_you_mean
+from servobus.errors import did_you_mean
 from servobus.errors import ParameterError
 
 MODULES = (fault_device, fault_master, fault_setup, fault_wire)      # what is in `kinds`

@@ -8,10 +8,8 @@ anything once checks are off; so values are converted and checked here, without 
 """
 from __future__ import annotations
 
-from collections.abc import Collection
 from collections.abc import Sequence
 from contextlib import suppress
-import difflib
 from itertools import pairwise
 import math
 from typing import Any
@@ -20,6 +18,7 @@ from typing import NamedTuple
 from msg_defs.reports import HEADLINE
 from msg_defs.reports import number
 from msg_defs.reports import TIMING_TOPICS
+from servobus.errors import did_you_mean
 from servobus.errors import ParameterError
 
 _OF_RCLPY = ('use_sim_time', 'start_type_description_service')
@@ -81,12 +80,6 @@ def convert(parameter: Parameter, raw: Any) -> Any:
     for value in values:
         _check_range(parameter, value)
     return values
-
-
-def did_you_mean(name: str, names: Collection[str]) -> str:
-    """Return the remedy for a name that is none of `names`: the nearest of them, or all."""
-    near = difflib.get_close_matches(name, names, 1)
-    return f'did you mean {near[0]}?' if near else f'there are: {", ".join(names)}'
 
 
 def unknown(names: Sequence[str], given: Sequence[str]) -> list[str]:

@@ -13,12 +13,12 @@ import signal
 import subprocess
 import time
 
-from harness import bridge
 from harness import DEADLINE_S
-from harness import Mcu
 from harness import Program
 from harness import ROOT
 import pytest
+from running_bridge import bridge
+from running_bridge import Mcu
 import yaml
 
 from msg_defs.vel2d import STOP

@@ -30,8 +30,8 @@ from mecarover_fakes.demo.scenes import SceneResult
 from mecarover_fakes.demo.scenes import SCENES
 from mecarover_fakes.demo.scenes import TakenSetPoint
 from mecarover_fakes.demo.scenes import TIME_OUT_BOUND_S
-from mecarover_serial.domain_lock import DEMOS
-from mecarover_serial.domain_lock import ReservedDomain
+from mecarover_fakes.domain_lock import DEMOS
+from mecarover_fakes.domain_lock import ReservedDomain
 from mecarover_serial.node_command_line import no_ros
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
