@@ -558,12 +558,18 @@ def _noise_claims(case: Case) -> Claims:
                     'that does not wait for answers', step=f'{STOP_OTHERS}: if packets still '
                     'overlap, ping each ID while its servo is unplugged: what answers is another')
         return
-    way = 'in both directions' if both_ways else 'in answers'
+    way = 'in instructions' if asked == case.damage \
+        else 'in both directions' if both_ways else 'in answers'
     share_of = about(case.damage, packets + case.damage)
     picture = case.damage_picture()
-    if not (picture or case.report.has_sides) and case.damage < NOISE_SURE_MIN_SHARE * packets:
-        yield Doubt(f'{share_of} of the packets damaged, in no clear way: interference, or a '
-                    'second program', step=f'{STOP_OTHERS}: what is damaged then is interference')
+    # Interference hits answers too; a second program's instructions meet those of the first.
+    answers = sum(device.window.answers for device in case.report.devices)
+    is_one_way = asked == case.damage and not case.spoilt and answers * 2 >= packets
+    if not case.report.has_sides and (
+            is_one_way or (not picture and case.damage < NOISE_SURE_MIN_SHARE * packets)):
+        how = 'instructions only' if is_one_way else 'in no clear way'
+        yield Doubt(f'{share_of} of the packets damaged, {how}: interference, or a second program',
+                    step=f'{STOP_OTHERS}: what is damaged then is interference')
         return
     yield Claim(f'{share_of} of the packets damaged, {way}, of '
                 'several devices: check termination, ground, shielding and motor cables',
