@@ -10,6 +10,7 @@ a copy of everything on the tap.
 from __future__ import annotations
 
 import argparse
+from contextlib import ExitStack
 import json
 import sys
 import time
@@ -20,6 +21,7 @@ from mecarover_fakes.fake_options import one_signal
 from mecarover_fakes.fake_options import parse_options
 from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.fake_servo import FakeDevice
+from mecarover_fakes.fault_control import commands_from
 from mecarover_fakes.faults import KINDS
 from mecarover_fakes.faults import parse as parse_fault
 from mecarover_fakes.line import Line
@@ -103,7 +105,10 @@ def _run(arguments: list[str]) -> int:
                   away=options.vanish, usb=usb)
     tapped = f', tap {options.tap}' if options.tap else ''
     try:
-        with one_signal():
+        with ExitStack() as stack:
+            if options.control:
+                stack.enter_context(commands_from(options.control, bus.command))
+            stack.enter_context(one_signal())
             print(f'fake_bus: {options.link or bus.path}, {options.baud} baud, {len(devices)} '
                   f'devices, pattern {pattern}{tapped}', flush=True)
             bus.start(options.seconds)
@@ -174,6 +179,8 @@ def _parser() -> Parser:
         help='cycles per second, 0: without a pause (default %(default)g)')
     add('--fault', action='append', default=[], metavar='NAME[:id[:at_s[:for_s]]]',
         help='simulate a fault; repeat it for more')
+    add('--control', metavar='SOCKET', help="lines there begin a fault ('silent:5') or end faults "
+        "('back'); -: standard input")
     add('--list-faults', action='store_true', help='list the faults and exit')
     add('--mid-traffic', action='store_true', help='begin without Pings and without switching the '
         'torque on')

@@ -86,6 +86,10 @@ class FakeBus:
         if self._usb is not None:
             self._usb.close()
 
+    def command(self, text: str) -> None:
+        """Begin a fault ('silent:3') or end faults ('back'); ParameterError for something else."""
+        self.master.command(text, self._now())
+
     def totals(self) -> dict[str, Any]:
         """Return the counters of both ends."""
         return {name: end.totals() for name, end in self._ends.items()} \

@@ -87,6 +87,10 @@ class Master:
         """End bursts() after the exchange in progress."""
         self._until = 0
 
+    def command(self, text: str, now: int) -> None:
+        """Begin or end faults, as Faults.command() does."""
+        self._faults.command(text, now)
+
     def respond(self, ask: Ask, now: int) -> list[Burst]:
         """Return the bursts on the line when a real master sends an instruction at `now`."""
         self._faults.update(now)
