@@ -42,13 +42,14 @@ def commands_from(place: str, command: Command) -> Iterator[None]:
     if os.path.exists(place) and stat.S_ISSOCK(os.stat(place).st_mode):
         os.unlink(place)               # of one that was killed
 
-    class Connection(socketserver.StreamRequestHandler):
+    class CommandLines(socketserver.StreamRequestHandler):
         def handle(self) -> None:
-            while line := self.rfile.readline(_LINE_MAX_BYTES):
-                self.wfile.write(f'{_answer(line, command)}\n'.encode())
+            with suppress(ConnectionError):        # it left without reading its answers
+                while line := self.rfile.readline(_LINE_MAX_BYTES):
+                    self.wfile.write(f'{_answer(line, command)}\n'.encode())
 
     try:
-        server = socketserver.ThreadingUnixStreamServer(place, Connection)
+        server = socketserver.ThreadingUnixStreamServer(place, CommandLines)
     except OSError as error:
         raise UsageError(f'--control {place}: {error.strerror or error}; '
                          'give the path of a new file') from None
