@@ -13,7 +13,6 @@ window that runs.
 """
 from __future__ import annotations
 
-from collections.abc import Callable
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -31,6 +30,7 @@ from mecarover_dashboard import rows
 from mecarover_dashboard.history import DamagedError
 from mecarover_dashboard.history import Event
 from mecarover_dashboard.history import HistoryWriter
+from mecarover_dashboard.history import Range
 from mecarover_dashboard.history import set_aside
 from mecarover_dashboard.history import Subject
 from mecarover_dashboard.history import VALUES
@@ -139,13 +139,13 @@ class _SourceLog:
     def add_values(self, level: int, values: tuple[float | None, ...], unix_s: float) -> None:
         """Put what was reported into the window of this time."""
         at = _window_at(unix_s)
+        ranges = tuple(None if value is None else (value, value) for value in values)
         old = self.windows.get(at)
         if old is None:
-            self.windows[at], self.errors = Window(at, self.subject, level, values, values), 0
+            self.windows[at], self.errors = Window(at, self.subject, level, ranges), 0
             return
-        self.windows[at] = Window(
-            at, self.subject, max(old.level, level, key=SEVERITY.index),
-            _extremes(min, old.lows, values), _extremes(max, old.highs, values))
+        self.windows[at] = Window(at, self.subject, max(old.level, level, key=SEVERITY.index),
+                                  tuple(map(_widened, old.ranges, ranges)))
 
     def add_errors(self, row: Row, offset_s: float, lost: set[str]) -> None:
         """Record the errors that are new, the oldest first, but for those of lost devices."""
@@ -259,11 +259,9 @@ def _values(kind: str, report: RowReport, state: State) -> Iterator[float | None
         yield from (None for _ in VALUES[kind])
 
 
-def _extremes(choose: Callable[..., float | None], old: tuple[float | None, ...],
-              new: tuple[float | None, ...]) -> tuple[float | None, ...]:
-    """Return the lowest (min) or the highest (max) of each value, as far as it is known."""
-    return tuple(choose((one for one in both if one is not None), default=None)
-                 for both in zip(old, new, strict=True))
+def _widened(old: Range | None, new: Range | None) -> Range | None:
+    """Return the range of both, as far as they are known."""
+    return (min(old[0], new[0]), max(old[1], new[1])) if old and new else old or new
 
 
 def _words(rule: str) -> str:

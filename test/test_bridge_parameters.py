@@ -62,7 +62,7 @@ def test_every_parameter_describes_itself(graph, running):
         for text in (parameter.unit, parameter.range_text):
             assert text in one.description
         ranges = [*one.floating_point_range, *one.integer_range]
-        assert len(ranges) == (parameter.maximum is not None)
+        assert len(ranges) == (parameter.maximum < math.inf)
         assert not ranges or ranges[0].to_value == parameter.maximum
     assert not running.said('no such parameter')
     assert {parameter.name for parameter in PARAMETERS} <= set(graph.parameters(NODE))

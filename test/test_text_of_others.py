@@ -162,7 +162,7 @@ def history(tmp_path):
     path = tmp_path / 'history.sqlite'
     writer = HistoryWriter(path)
     source = Subject('dxl_monitor: 001', 'devices', '', 'A')
-    writer.write([Window(1000, source, 2, (-1.0,) * 6, (1.0,) * 6)],
+    writer.write([Window(1000, source, 2, ((-1.0, 1.0),) * 6)],
                  [Event(1000.0, source, 'state', 2, 'text')])
     writer.close()
     database = sqlite3.connect(path)
