@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from collections.abc import Iterable
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -95,18 +96,12 @@ class Layers:
                  report: Callable[[ModelError], None] = raise_error) -> None:
         self._folders = (folder, beneath)
         self._report = report
-        self._definitions: dict[Path, Definition] = {}
+        self.definition = cache(_outline)      # it reads each file once
         self._layers: dict[Path, Layer] = {}
         self._whole: dict[tuple[Path, int | None, int | None], Layer] = {}
 
     def _refuse(self, path: Path, field: str, reason: str, remedy: str) -> None:
         self._report(ModelError(path, field, reason, remedy))
-
-    def definition(self, path: Path) -> Definition:
-        """Return the outline of one file; raises ModelError."""
-        if path not in self._definitions:
-            self._definitions[path] = _outline(path)
-        return self._definitions[path]
 
     def variant(self, path: Path, firmware: int | None) -> int | None:
         """Return which older table a device with this firmware has, None for the newest one."""
@@ -233,6 +228,7 @@ class Layers:
 
 
 def _outline(path: Path) -> Definition:
+    """Return what a file says, without its fields; raises ModelError."""
     raw = read_yaml(path)
     check = Check(path, '')
     check.mapping(raw, FILE_KEYS)
