@@ -43,14 +43,12 @@ def _run(tool: str, main: Callable[[list[str]], int | None]) -> int:
     try:
         is_command = take_over()
         code = main(sys.argv[1:]) or DONE
-    except KeyboardInterrupt:
-        pass
+    except (KeyboardInterrupt, BrokenPipeError):
+        pass                               # the reader of our output (head, less) has left
     except SystemExit as ending:           # argparse has said all
         code = ending.code if isinstance(ending.code, int) else COULD_NOT_RUN
     except (UsageError, ParameterError) as error:
         failure, code = error, WRONG_USAGE
-    except BrokenPipeError:                # the reader of our output (head, less) has left
-        pass
     except (PortError, OSError) as error:
         failure, code = error, COULD_NOT_RUN
     lost = _lost_output()

@@ -46,7 +46,7 @@ from servobus.tools.run import refuse_run_word
 SPEED_MIN = 1e-6                   # times the original speed
 SETTLE_S = 0.5                     # a reader has opened the port, and sets it up
 LAST_QUESTION_S = 1.5              # at the end: until the last instruction is given up
-LOOP_PAUSE_NS = 100_000_000
+LOOP_PAUSE_S = 0.1
 POLL_S = 0.05
 RAW_CHUNK_BYTES = 200              # bytes of a raw file that are sent at once
 
@@ -137,7 +137,7 @@ def _play_file(options: argparse.Namespace, wires: dict[str, Wire],
             print(f'dxl_replay: {printable(problem)}', file=sys.stderr)
         if not options.loop:
             break
-        time.sleep(LOOP_PAUSE_NS / 1e9)
+        time.sleep(LOOP_PAUSE_S)
     time.sleep(LAST_QUESTION_S)
     while options.stay:
         time.sleep(POLL_S)

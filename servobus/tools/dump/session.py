@@ -62,8 +62,7 @@ class Session:
         self._lines = Lines(options.colours, options.time)
         self._shown = 0
         self._bytes = 0
-        self._first: int | None = None
-        self._last = 0
+        self._first = self._last = 0           # stamps of chunks; 0: none yet
         self._started_s = self._next_paint_s = time.monotonic()
         self._next_progress_s = self._started_s + PROGRESS_EVERY_S
         self._has_progress = False
@@ -93,8 +92,7 @@ class Session:
         self._finish()
 
     def _feed_chunk(self, chunk: Chunk) -> None:
-        if self._first is None:
-            self._first = chunk.stamp
+        self._first = self._first or chunk.stamp
         self._last = chunk.stamp
         self._bytes += len(chunk.data)
         monitor = self._monitors.get(chunk.bus) or self._new_monitor(chunk.bus)
@@ -160,7 +158,7 @@ class Session:
             return self._has_enough()
         if self._source.is_live:
             return time.monotonic() - self._started_s >= limit_s
-        return self._first is not None and self._last - self._first >= 1e9 * limit_s
+        return bool(self._first) and self._last - self._first >= 1e9 * limit_s
 
     def _print_silence(self) -> None:
         """Say once why nothing is shown: a port that is silent looks like a program that hangs."""
@@ -223,9 +221,9 @@ class Session:
             for monitor in self._monitors.values():
                 monitor.end(now)
         reports = self._reports(now)
-        if self._recording is not None:
+        if self._packets is not None:
             with self._naming_the_file():
-                self._recording.finish(now, self._monitors)
+                self._packets.finish(now, self._monitors)
         if self._options.stats:
             self._paint_screen(reports, is_last=True)
         if self._options.summary:
