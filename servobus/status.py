@@ -94,7 +94,9 @@ def bus_status(node: str, bus: str, report: BusReport, port: PortState,
     values += _findings(one for one in report.findings if one.device is None)
     values += _doubts(report.doubts)
     if with_log:
-        values += _running(report) + _errors(report)
+        if report.started:             # how old the times of the errors are: they can be dated
+            values.append((keys.RUNNING, number(round((report.stamp - report.started) / 1e9, 1))))
+        values += _errors(report)
     return Status(status_name(node, f'bus {bus}'.strip()), level, message,
                   hardware_id(node, bus or port.port), values)
 
@@ -151,13 +153,6 @@ def _table(device: DeviceReport) -> Pairs:
         seen[field.name] = [round(age_s, 3), source]
     return [*values, (keys.NOT_OBSERVED, str(device.unobserved)),
             (keys.OBSERVED, json.dumps(seen, separators=(',', ':')))]
-
-
-def _running(report: BusReport) -> Pairs:
-    """Spell how old the times of the errors are, so that a reader can date them."""
-    if not report.started:
-        return []
-    return [(keys.RUNNING, number(round((report.stamp - report.started) / 1e9, 1)))]
 
 
 def _errors(report: BusReport) -> Pairs:
