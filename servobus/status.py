@@ -116,10 +116,9 @@ def _models(devices: Iterable[DeviceReport]) -> str:
         name = device.model_name
         if device.model_number is not None and not name.startswith('unknown'):
             name += f' ({device.model_number})'
-        if spans and spans[-1][1:] == (device.id - 1, name):
-            spans[-1] = (spans[-1][0], device.id, name)
-        else:
-            spans.append((device.id, device.id, name))
+        is_next = spans and spans[-1][1:] == (device.id - 1, name)
+        first = spans.pop()[0] if is_next else device.id
+        spans.append((first, device.id, name))
     return ', '.join((f'{first:03} ' if first == last else f'{first:03}-{last:03} ') + name
                      for first, last, name in spans)
 
