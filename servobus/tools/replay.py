@@ -12,6 +12,8 @@ import argparse
 from collections.abc import Iterable
 from collections.abc import Iterator
 from collections.abc import Mapping
+from contextlib import closing
+from contextlib import ExitStack
 from contextlib import suppress
 import math
 import os
@@ -105,15 +107,12 @@ def _run(arguments: list[str]) -> int:
         raise UsageError(f'--speed {options.speed:g}: not possible; give 1 for the original '
                          'timing, 0 for the speed of the reader')
     wires = _wires(options)
-    outlets: dict[str, Pty] = {}
-    try:
-        for name in wires:
-            outlets[name] = Pty(_link(options.link, name, len(wires)))
-            outlets[name].let_go()
-        _play_file(options, wires, outlets)
-    finally:
+    with ExitStack() as stack:
+        outlets = {name: stack.enter_context(Pty(_link(options.link, name, len(wires))))
+                   for name in wires}
         for outlet in outlets.values():
-            outlet.close()
+            outlet.let_go()
+        _play_file(options, wires, outlets)
     return DONE
 
 
@@ -126,11 +125,8 @@ def _play_file(options: argparse.Namespace, wires: dict[str, Wire],
     _wait_for_readers(outlets.values())
     print('playing', flush=True)
     while True:
-        file = open_file(options.capture, options.baud, options.adapter, tool='dxl_replay')
-        try:
+        with _open(options) as file:
             played = _play(_chunks(file, options.side), outlets, options.speed)
-        finally:
-            file.close()
         print(f'played {played.chunks} chunks, {played.bytes} bytes, '
               f'at most {1e3 * played.late_s:.1f} ms late', flush=True)
         for problem in file.problems():
@@ -141,6 +137,10 @@ def _play_file(options: argparse.Namespace, wires: dict[str, Wire],
     time.sleep(LAST_QUESTION_S)
     while options.stay:
         time.sleep(POLL_S)
+
+
+def _open(options: argparse.Namespace) -> closing[File]:
+    return closing(open_file(options.capture, options.baud, options.adapter, tool='dxl_replay'))
 
 
 def _chunks(file: File, side: str | None) -> Iterator[Chunk]:
@@ -159,20 +159,19 @@ def _wires(options: argparse.Namespace) -> dict[str, Wire]:
     if not stat.S_ISREG(mode):
         raise UsageError(f'{options.capture}: not a file, and a capture is read more than once; '
                          'give a file')
-    source = open_file(options.capture, options.baud, options.adapter, tool='dxl_replay')
-    chunks = _chunks(source, options.side)
-    is_empty = next(chunks, None) is None
-    wires = source.wires
-    if is_capture(options.capture):            # its headers are enough
-        with open(options.capture, 'rb') as file:
-            reader = Reader(line for line in lines(file) if line.startswith(b'#'))
-            list(reader)
-        wires = {name: wire if options.baud is None else wire._replace(baud=options.baud)
-                 for name, wire in reader.wires.items()}
-    else:
-        for _ in chunks:                       # in a pcap file a bus comes with its packets
-            pass
-    source.close()
+    with _open(options) as source:
+        chunks = _chunks(source, options.side)
+        is_empty = next(chunks, None) is None
+        wires = source.wires
+        if is_capture(options.capture):        # its headers are enough
+            with open(options.capture, 'rb') as file:
+                reader = Reader(line for line in lines(file) if line.startswith(b'#'))
+                list(reader)
+            wires = {name: wire if options.baud is None else wire._replace(baud=options.baud)
+                     for name, wire in reader.wires.items()}
+        else:
+            for _ in chunks:                   # in a pcap file a bus comes with its packets
+                pass
     if is_empty:
         what = 'no bytes' if options.side is None else f'no bytes of --side {options.side}'
         raise UsageError(f'{options.capture}: it holds {what}; give another capture')
