@@ -26,7 +26,8 @@ from servobus.plain import printable
 from servobus.settings import settings_of
 from servobus.sources.opening import open_source
 from servobus.tools.doctor.no_data import reasons
-from servobus.tools.dump.decode import Interpreter
+from servobus.tools.dump.decode import identity_of
+from servobus.tools.dump.decode import parts_of
 from servobus.tools.dump.filter import is_wanted
 from servobus.tools.dump.json import json_line
 from servobus.tools.dump.listing import Entry
@@ -112,28 +113,28 @@ class Session:
         if self._lists or self._packets is not None:
             listing = Listing(self._models, lambda entry: show(entry), settings,
                               self._source.is_timed, is_plain=not self._lists)
-            show = partial(self._accept_entry, bus, Interpreter(listing))
+            show = partial(self._accept_entry, bus, listing)
         self._monitors[bus] = monitor = Monitor(printable(bus), self._models, settings,
                                                 decoder=listing, names=OPTIONS)
         return monitor
 
-    def _accept_entry(self, bus: str, interpreter: Interpreter, entry: Entry) -> None:
+    def _accept_entry(self, bus: str, listing: Listing, entry: Entry) -> None:
         if self._packets is not None:
             try:                       # no context manager: this is for each packet
                 self._packets.record_entry(bus, entry)
             except OSError as error:
                 raise self._named(error) from error
         if self._lists:
-            self._show(printable(bus), interpreter, entry)
+            self._show(printable(bus), listing, entry)
 
-    def _show(self, bus: str, interpreter: Interpreter, entry: Entry) -> None:
+    def _show(self, bus: str, listing: Listing, entry: Entry) -> None:
         """Show an entry, if it is wanted."""
         if not is_wanted(entry, self._options) or self._has_enough():
             return
         began = self._source.began
         stamp = entry.stamp - began.stamp + began.wall
-        parts = interpreter.parts(entry)
-        identity = interpreter.identity(entry)
+        parts = parts_of(entry, listing)
+        identity = identity_of(entry)
         if not self._options.json:
             self._fit_lines()
             line = self._lines.line(bus, stamp, entry, parts, identity)
