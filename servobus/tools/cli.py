@@ -8,6 +8,7 @@ How every console tool of this package ends: one line per mistake, no traceback,
 from __future__ import annotations
 
 from collections.abc import Callable
+from collections.abc import Iterable
 import io
 import os
 import shutil
@@ -104,6 +105,12 @@ def complain(tool: str, error: Exception, code: int) -> int:
     except OSError:                        # it is full, or its reader has left
         _discard(sys.stderr)
     return code
+
+
+def print_problems(tool: str, problems: Iterable[str]) -> None:
+    """Print a line about each problem under the name of the tool, which goes on."""
+    for problem in problems:
+        print(f'{tool}: {printable(problem)}', file=sys.stderr)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:

@@ -39,6 +39,7 @@ from servobus.sources.opening import open_file
 from servobus.sources.source import File
 from servobus.sources.source import RawFile
 from servobus.tools.cli import DONE
+from servobus.tools.cli import print_problems
 from servobus.tools.cli import run_tool
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
@@ -129,8 +130,7 @@ def _play_file(options: argparse.Namespace, wires: dict[str, Wire],
             played = _play(_chunks(file, options.side), outlets, options.speed)
         print(f'played {played.chunks} chunks, {played.bytes} bytes, '
               f'at most {1e3 * played.late_s:.1f} ms late', flush=True)
-        for problem in file.problems():
-            print(f'dxl_replay: {printable(problem)}', file=sys.stderr)
+        print_problems('dxl_replay', file.problems())
         if not options.loop:
             break
         time.sleep(LOOP_PAUSE_S)

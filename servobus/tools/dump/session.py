@@ -25,6 +25,7 @@ from servobus.plain import on_screen
 from servobus.plain import printable
 from servobus.settings import settings_of
 from servobus.sources.opening import open_source
+from servobus.tools.cli import print_problems
 from servobus.tools.doctor.no_data import reasons
 from servobus.tools.dump.decode import identity_of
 from servobus.tools.dump.decode import parts_of
@@ -233,9 +234,8 @@ class Session:
         if self._recording is not None and self._bytes and sys.stderr.isatty():
             print(f'dxl_dump: recorded {self._bytes} bytes of the bus to {self._options.write}',
                   file=sys.stderr)
-        for problem in [*self._no_packet(reports), *self._source.problems(),
-                        *self._models.problems]:
-            print(f'dxl_dump: {printable(problem)}', file=sys.stderr)
+        print_problems('dxl_dump', [*self._no_packet(reports), *self._source.problems(),
+                                    *self._models.problems])
 
     def _no_packet(self, reports: list[BusReport]) -> list[str]:
         """Ask about bytes without a single packet: of no bus, or heard at another rate."""
