@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from collections.abc import Iterable
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -95,18 +96,12 @@ class Layers:
                  report: Callable[[ModelError], None] = raise_error) -> None:
         self._folders = (folder, beneath)
         self._report = report
-        self._definitions: dict[Path, Definition] = {}
+        self.definition = cache(_outline)      # it reads each file once
         self._layers: dict[Path, Layer] = {}
         self._whole: dict[tuple[Path, int | None, int | None], Layer] = {}
 
     def _refuse(self, path: Path, field: str, reason: str, remedy: str) -> None:
         self._report(ModelError(path, field, reason, remedy))
-
-    def definition(self, path: Path) -> Definition:
-        """Return the outline of one file; raises ModelError."""
-        if path not in self._definitions:
-            self._definitions[path] = _outline(path)
-        return self._definitions[path]
 
     def variant(self, path: Path, firmware: int | None) -> int | None:
         """Return which older table a device with this firmware has, None for the newest one."""
@@ -154,14 +149,14 @@ class Layers:
     def _layer(self, path: Path, above: tuple[Path, ...]) -> Layer:
         if path in self._layers:
             return self._layers[path]
+        check = Check(path, 'include')
         if path in above:
-            raise Check(path, 'include').error('includes itself', 'break the circle')
+            raise check.error('includes itself', 'break the circle')
         if len(above) > INCLUDE_LIMIT:
-            raise Check(path, 'include').error(f'{len(above)} files include one another',
-                                               'include them all in one file')
+            raise check.error(f'{len(above)} files include one another',
+                              'include them all in one file')
         raw = self.definition(path).raw
         layer = Layer()
-        check = Check(path, 'include')
         include = raw.get('include', [])
         for name in check.sequence([include] if isinstance(include, str) else include, 'include'):
             layer = self._layer(self._find(check, name), (*above, path)).laid_over(layer)
@@ -233,6 +228,7 @@ class Layers:
 
 
 def _outline(path: Path) -> Definition:
+    """Return what a file says, without its fields; raises ModelError."""
     raw = read_yaml(path)
     check = Check(path, '')
     check.mapping(raw, FILE_KEYS)
@@ -246,9 +242,10 @@ def _outline(path: Path) -> Definition:
     for key in ('each', 'torque_constants'):
         for number in raw.get(key, {}).keys() - numbers.keys():
             raise Check(path, key).error(f'{number} is not in model_numbers', 'correct the number')
+    aliases = Check(path, 'aliases')
     for alias, name in raw.get('aliases', {}).items():
-        Check(path, 'aliases').text(alias, 'an alias')
-        Check(path, 'aliases').text(name, f'alias {alias}')
+        aliases.text(alias, 'an alias')
+        aliases.text(name, f'alias {alias}')
     check.choice(raw.get('byte_order', 'little'), 'byte_order', BYTE_ORDERS)
     protocol = check.choice(raw.get('protocol', '2'), 'protocol', PROTOCOLS)
     keys = {model_key(number, protocol): name for number, name in numbers.items()}

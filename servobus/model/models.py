@@ -59,10 +59,9 @@ class Models:
                 if number in index:
                     raise _twice(path, number, index[number][0])
                 index[number] = path, name
-        for number, (path, name) in index.items():
-            if number not in self._index:
-                self._index[number] = path, name
-                self._layers[path] = layers
+        for number, entry in index.items():
+            self._index.setdefault(number, entry)
+            self._layers[entry[0]] = layers
 
     def get(self, number: int, firmware: int | None = None) -> Model | None:
         """

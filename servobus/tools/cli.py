@@ -8,6 +8,7 @@ How every console tool of this package ends: one line per mistake, no traceback,
 from __future__ import annotations
 
 from collections.abc import Callable
+from collections.abc import Iterable
 import io
 import os
 import shutil
@@ -43,14 +44,12 @@ def _run(tool: str, main: Callable[[list[str]], int | None]) -> int:
     try:
         is_command = take_over()
         code = main(sys.argv[1:]) or DONE
-    except KeyboardInterrupt:
-        pass
+    except (KeyboardInterrupt, BrokenPipeError):
+        pass                               # the reader of our output (head, less) has left
     except SystemExit as ending:           # argparse has said all
         code = ending.code if isinstance(ending.code, int) else COULD_NOT_RUN
     except (UsageError, ParameterError) as error:
         failure, code = error, WRONG_USAGE
-    except BrokenPipeError:                # the reader of our output (head, less) has left
-        pass
     except (PortError, OSError) as error:
         failure, code = error, COULD_NOT_RUN
     lost = _lost_output()
@@ -107,6 +106,12 @@ def complain(tool: str, error: Exception, code: int) -> int:
     except OSError:                        # it is full, or its reader has left
         _discard(sys.stderr)
     return code
+
+
+def print_problems(tool: str, problems: Iterable[str]) -> None:
+    """Print a line about each problem under the name of the tool, which goes on."""
+    for problem in problems:
+        print(f'{tool}: {printable(problem)}', file=sys.stderr)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:

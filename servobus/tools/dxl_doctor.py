@@ -33,6 +33,7 @@ from servobus.sources.flight_recorder import FlightRecorder
 from servobus.sources.opening import open_source
 from servobus.sources.source_name import DEFAULT_BAUD
 from servobus.tools.cli import DONE
+from servobus.tools.cli import print_problems
 from servobus.tools.cli import run_tool
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
@@ -145,8 +146,8 @@ class _DoctorRun:
             verdict = self._print_verdict(seconds)             # a program may go on
             if self._options.report:
                 self._write_report(seconds)
-            for problem in [*source.problems(), *([self._flight.words] if self._flight else [])]:
-                print(f'dxl_doctor: {printable(problem)}', file=sys.stderr)
+            print_problems('dxl_doctor', [*source.problems(),
+                                          *([self._flight.words] if self._flight else [])])
         return verdict.code
 
     def _listen(self) -> float:
@@ -285,8 +286,7 @@ def _show_saved(saved: SavedReport, models: Models, options: argparse.Namespace)
                        quiet=[] if examination.bytes else [NOTHING])
     verdict = saved.verdict or now
     _print(verdict, saved.as_json or as_json(now, buses, seconds), options)
-    for problem in (*saved.problems, *_difference(saved, buses)):
-        print(f'dxl_doctor: {problem}', file=sys.stderr)
+    print_problems('dxl_doctor', [*saved.problems, *_difference(saved, buses)])
     return verdict.code
 
 

@@ -18,6 +18,7 @@ from servobus.model.models import Models
 from servobus.plain import printable
 from servobus.tools.cli import COULD_NOT_RUN
 from servobus.tools.cli import DONE
+from servobus.tools.cli import print_problems
 from servobus.tools.cli import run_tool
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
@@ -75,8 +76,7 @@ def _run(arguments: list[str]) -> int:
 def _check_models(folder: str) -> int:
     """Say every problem of a folder of model files."""
     problems = check_models(folder)
-    for problem in problems:
-        print(f'dxl_dump: {printable(problem)}', file=sys.stderr)
+    print_problems('dxl_dump', problems)
     if problems:
         return COULD_NOT_RUN
     print(f'{printable(folder)}: {len(model_files(Path(folder)))} model files, no problem')

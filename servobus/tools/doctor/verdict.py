@@ -13,7 +13,6 @@ from collections.abc import Iterable
 from collections.abc import Sequence
 from itertools import groupby
 import os
-import re
 from typing import Any
 from typing import NamedTuple
 
@@ -113,7 +112,8 @@ def make_verdict(source: str, buses: Sequence[BusSummary], seconds: float, is_ti
     """
     unknown = [*more_unknown, *([] if is_timed or quiet else [_UNTIMED])]
     not_sure: list[OpenPoint] = []
-    port = next(iter(ports), '') or re.sub('^usb:', '', source)
+    port = next(iter(ports), '') or source.removeprefix('usb:')
+    device = port if port.startswith('/dev/') else PORT
     for bus in buses:
         doubts = [one for one in bus.report.doubts if is_timed or one.rule not in NEEDS_TIMES]
         found = [one.finding for one in bus.logged]
@@ -125,9 +125,9 @@ def make_verdict(source: str, buses: Sequence[BusSummary], seconds: float, is_ti
         unknown += [f'{bus.who(one.id)}: {printable(one.message)}; the cause is unknown'
                     for one in _unnamed(bus)
                     if _is_slight(one) and one.id not in {finding.device for finding in left}]
-        not_sure += [OpenPoint(bus.who(one.device), one.rule, printable(one.message), printable(
-            one.step.replace(PORT, port if port.startswith('/dev/') else PORT)))
-            for one in [*steps, *left]]
+        not_sure += [OpenPoint(bus.who(one.device), one.rule, printable(one.message),
+                               printable(one.step.replace(PORT, device)))
+                     for one in [*steps, *left]]
     wrong = [entry for bus in buses for entry in _wrong(bus)]
     if ended:
         if not (quiet or not_sure or any(entry.level > Level.OK for entry in wrong)):

@@ -55,47 +55,48 @@ class PingAnswer(NamedTuple):
 Layout = tuple[tuple[Field, tuple[int, ...]], ...]     # a field, and where its bytes are
 
 
-class Interpreter:
-    """Reads the entries of one bus; call it only while an entry is taken."""
+def parts_of(entry: Entry, listing: Listing) -> list[Part]:
+    """
+    Return what an instruction or a status is about, in the order on the wire.
 
-    def __init__(self, listing: Listing) -> None:
-        self._listing = listing
+    Call it only while the entry is handed on.
+    """
+    packet = entry.packet
+    if packet is None:
+        return []
+    accesses = entry.request.accesses
+    if packet.error is None:
+        return [_part(listing, access, access.data) for access in accesses]
+    if entry.blocks:
+        by_id = {access.id: access for access in accesses}
+        return [_part(listing, by_id[block.id], block.data, block.error)
+                for block in entry.blocks]
+    return [_part(listing, access, packet.params) for access in accesses
+            if access.id == packet.id and access.data is None
+            and access.length == len(packet.params)]
 
-    def parts(self, entry: Entry) -> list[Part]:
-        """Return what an instruction or a status is about, in the order on the wire."""
-        packet = entry.packet
-        if packet is None:
-            return []
-        if packet.error is None:
-            return [self._part(access, access.data) for access in entry.request.accesses]
-        if entry.blocks:
-            accesses = {access.id: access for access in entry.request.accesses}
-            return [self._part(accesses[block.id], block.data, block.error)
-                    for block in entry.blocks]
-        return [self._part(access, packet.params) for access in entry.request.accesses
-                if access.id == packet.id and access.data is None
-                and access.length == len(packet.params)]
 
-    def identity(self, entry: Entry) -> PingAnswer | None:
-        """Return what the answer to a Ping says, None for anything else."""
-        packet = entry.packet
-        if packet is None or packet.error is None or entry.request.accesses \
-                or entry.notes or len(packet.params) != _PING_DATA:
-            return None
-        model = UNKNOWN if entry.device is None else entry.device.model
-        return PingAnswer(packet.params[0] | packet.params[1] << 8,
-                        '' if model is UNKNOWN else model.name, packet.params[2])
+def identity_of(entry: Entry) -> PingAnswer | None:
+    """Return what the answer to a Ping says, None for anything else."""
+    packet = entry.packet
+    if packet is None or packet.error is None or entry.request.accesses \
+            or entry.notes or len(packet.params) != _PING_DATA:
+        return None
+    model = UNKNOWN if entry.device is None else entry.device.model
+    return PingAnswer(packet.params[0] | packet.params[1] << 8,
+                      '' if model is UNKNOWN else model.name, packet.params[2])
 
-    def _part(self, access: Access, data: bytes | None, error: int = 0) -> Part:
-        device = self._listing.device(access.id)
-        model, table = (UNKNOWN, _NOTHING) if device is None else (device.model, device.table)
-        layout = _layout(model, access, table)
-        fields = tuple(field if field.cases is None else table.in_force(field, model)
-                       for field, _ in layout)
-        values = () if data is None else tuple(
-            field.decode(bytes([data[index] for index in indices]))
-            for field, (_, indices) in zip(fields, layout, strict=True))
-        return Part(access.id, model, access.address, access.length, data, fields, values, error)
+
+def _part(listing: Listing, access: Access, data: bytes | None, error: int = 0) -> Part:
+    device = listing.device(access.id)
+    model, table = (UNKNOWN, _NOTHING) if device is None else (device.model, device.table)
+    layout = _layout(model, access, table)
+    fields = tuple(field if field.cases is None else table.in_force(field, model)
+                   for field, _ in layout)
+    values = () if data is None else tuple(
+        field.decode(bytes([data[index] for index in indices]))
+        for field, (_, indices) in zip(fields, layout, strict=True))
+    return Part(access.id, model, access.address, access.length, data, fields, values, error)
 
 
 def _layout(model: Model, access: Access, table: Table) -> Layout:

@@ -128,11 +128,11 @@ def _shown(entry: Entry, parts: Sequence[Part], identity: PingAnswer | None) -> 
     name = packet_name(packet) + ('*' if packet.repaired else '')
     if packet.error is None:
         colour = YELLOW if entry.request.malformed else CYAN
-        return '>', colour, number, name, request_words(entry, parts)
+        return '>', colour, number, name, request_words(packet, entry, parts)
     errors = [packet.error, *(part.error for part in parts)]
     colour = RED if any(error & ~ALERT for error in errors) \
         else YELLOW if packet.error or entry.notes else GREEN
-    return '<', colour, number, name, answer_words(entry, parts, identity)
+    return '<', colour, number, name, answer_words(packet, entry, parts, identity)
 
 
 def _model(device: Device | None, is_wide: bool) -> str:

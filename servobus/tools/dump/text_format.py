@@ -62,11 +62,9 @@ def packet_name(packet: Packet) -> str:
     return f'instruction 0x{STATUS:02X}' if is_strange else name_of(packet.instruction)
 
 
-def request_words(entry: Entry, parts: Sequence[Part]) -> str:
+def request_words(packet: Packet, entry: Entry, parts: Sequence[Part]) -> str:
     """Return what an instruction asks for."""
-    packet, request = entry.packet, entry.request
-    if packet is None:
-        return ''
+    request = entry.request
     if request.malformed:
         return f'makes no sense: {packet.params.hex(" ")}'
     if parts:
@@ -80,11 +78,9 @@ def request_words(entry: Entry, parts: Sequence[Part]) -> str:
 _LISTS = (Answers.LISTED, Answers.COMBINED, Answers.ADAPTER)
 
 
-def answer_words(entry: Entry, parts: Sequence[Part], identity: PingAnswer | None) -> str:
+def answer_words(packet: Packet, entry: Entry, parts: Sequence[Part],
+                 identity: PingAnswer | None) -> str:
     """Return what a status says, its error first; (?): damage may hide what it answers."""
-    packet = entry.packet
-    if packet is None:
-        return ''
     words = [text_of(incident) for incident in entry.notes]
     if packet.error and not entry.blocks:
         words.append(error_words(packet.error))

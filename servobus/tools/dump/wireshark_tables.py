@@ -3,6 +3,7 @@
 """The tables of the Wireshark dissector: names, errors and control tables, as a file in Lua."""
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 from msg_defs import dxl1_instruction
@@ -77,7 +78,7 @@ def _lua(value: object) -> str:
     if value is None or isinstance(value, bool):
         return 'true' if value else 'false'
     if isinstance(value, str):
-        return '"' + value.replace('\\', r'\\').replace('"', r'\"') + '"'
+        return json.dumps(value, ensure_ascii=False)    # Lua has the same escapes for " and \
     return repr(value)
 
 
