@@ -119,7 +119,7 @@ def main(package='', *options):
             shutil.rmtree(folder / other)
         venv.create(folder / '.venv', 'ROS_DISTRO' in os.environ, symlinks=True)
         [site] = folder.glob('.venv/lib/python*/site-packages')
-        (site / 'installed.pth').write_text('\n'.join([str(installed), *starts]))
+        (site / 'installed.pth').write_text('\n'.join([place, str(installed), *starts]))
         python = folder / '.venv/bin/python'
         subprocess.run([python, '-c', PRESENT, *others], cwd=folder, check=True)
         return subprocess.run([python, '-m', 'pytest', *tests, *options], cwd=folder,
