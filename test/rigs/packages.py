@@ -11,7 +11,7 @@ a test that has the name of one of their modules is theirs.
 """
 import ast
 from functools import cache
-from functools import partial
+import os
 from pathlib import Path
 import re
 import shutil
@@ -42,7 +42,7 @@ from importlib.util import find_spec
 import sys
 sys.exit(', '.join(f'{one}: here too' for one in sys.argv[1:] if find_spec(one)) or 0)
 """
-DOTTED = re.compile(rf"\b(?:{'|'.join(LAYERS)})(?:\.\w+)+")
+DOTTED = re.compile(r'\b[a-z]\w*(?:\.\w+)+')
 
 
 @cache
@@ -85,6 +85,7 @@ def known():
 def named(path):
     """Return the modules of ours that a test or equipment names."""
     words = {*imports(path, known()), *DOTTED.findall(path.read_text())}
+    words |= {f'{word}.__main__' for word in words}
     return {word: known()[word] for word in words if word in known()}
 
 
@@ -102,11 +103,13 @@ def owner(test):
     return next((package for package, below in LAYERS.items() if set() < needed <= below), '')
 
 
-def main(package, *options):
+def main(package='', *options):
     """Run the tests of a package where the others are not; return the exit code."""
-    tests = [one for one in sorted(ROOT.glob('test/test_*.py')) if owner(one) == package]
+    if package not in LAYERS:
+        return f"--package {package}: no such package; there are: {', '.join(LAYERS)}"
+    tests = [one.relative_to(ROOT) for one in sorted(ROOT.glob('test/test_*.py'))
+             if owner(one) == package]
     others = LAYERS.keys() - LAYERS[package] - {FAKES}
-    has_system = 'site-packages = true' in Path(sys.prefix, 'pyvenv.cfg').read_text()
     installed = Path(sysconfig.get_path('purelib'))
     starts = [one.read_text() for one in installed.glob('*.pth') if 'editable' not in one.name]
     with tempfile.TemporaryDirectory(prefix='alone_') as place:
@@ -114,15 +117,13 @@ def main(package, *options):
         copy_source(folder)
         for other in others:
             shutil.rmtree(folder / other)
-        venv.create(folder / '.venv', has_system, symlinks=True)
+        venv.create(folder / '.venv', 'ROS_DISTRO' in os.environ, symlinks=True)
         [site] = folder.glob('.venv/lib/python*/site-packages')
-        (site / 'installed.pth').write_text('\n'.join([str(installed), *starts]))
-        run = partial(subprocess.run, cwd=folder, check=False)
+        (site / 'installed.pth').write_text('\n'.join([place, str(installed), *starts]))
         python = folder / '.venv/bin/python'
-        if (found := run([python, '-c', PRESENT, *others]).returncode):
-            return found
-        return run([python, '-m', 'pytest', *(one.relative_to(ROOT) for one in tests),
-                    *options]).returncode
+        subprocess.run([python, '-c', PRESENT, *others], cwd=folder, check=True)
+        return subprocess.run([python, '-m', 'pytest', *tests, *options], cwd=folder,
+                              check=False).returncode
 
 
 if __name__ == '__main__':
