@@ -16,7 +16,6 @@ import time
 
 from mecarover_fakes.dxl1_servo import Servo1
 from mecarover_fakes.fake_options import add_options
-from mecarover_fakes.fake_options import parse_away
 from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.fake_servo import FakeDevice
 from mecarover_fakes.faults import KINDS
@@ -99,7 +98,7 @@ def _run(arguments: list[str]) -> int:
                     started=options.mid_traffic, patience=round(options.patience * 1e6))
     usb = VirtualUsb(options.usbmon, options.adapter, options.baud) if options.usbmon else None
     bus = FakeBus(master, link=options.link, tap=options.tap or False,
-                  away=parse_away(options.vanish), usb=usb)
+                  away=options.vanish, usb=usb)
     print(f'fake_bus: {options.link or bus.path}, {options.baud} baud, {len(devices)} devices, '
           f'pattern {pattern}' + (f', tap {options.tap}' if options.tap else ''), flush=True)
     try:

@@ -4,9 +4,9 @@
 
 from __future__ import annotations
 
+from argparse import ArgumentTypeError
 from typing import NamedTuple
 
-from servobus.errors import UsageError
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
 
@@ -15,7 +15,8 @@ def add_options(parser: Parser) -> None:
     """Add the options of a program that plays hardware on a pty."""
     add = parser.add_argument
     add('--link', metavar='PATH', help='make this symlink to the pty, for the node to open')
-    add('--vanish', metavar='AFTER:FOR', help='unplug after so many seconds, for so long')
+    add('--vanish', type=_away, metavar='AFTER:FOR',
+        help='unplug after so many seconds, for so long')
     add('--seed', type=int, default=1, help='seed of the faults (default %(default)s)')
     add('--outlive', action='store_true', help='at Ctrl-C wait until the host closed the port')
     add('--seconds', type=number(float, 0), metavar='S',
@@ -28,13 +29,15 @@ class Away(NamedTuple):
     after: float
     duration: float
 
+    def covers(self, now_s: float) -> bool:
+        """Tell whether it is unplugged so long after the start."""
+        return self.after <= now_s < self.after + self.duration
 
-def parse_away(text: str | None) -> Away | None:
-    """Return what `--vanish AFTER:FOR` of a fake means."""
-    if text is None:
-        return None
+
+def _away(text: str) -> Away:
+    """Return what `--vanish AFTER:FOR` means."""
     try:
         after, duration = map(float, text.split(':'))
     except ValueError:
-        raise UsageError(f'--vanish {text}: not AFTER:FOR; give seconds, as in 3:1.5') from None
+        raise ArgumentTypeError(f'{text}: not AFTER:FOR; give seconds, as in 3:1.5') from None
     return Away(after, duration)

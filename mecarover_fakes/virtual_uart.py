@@ -15,6 +15,7 @@ import os
 import termios
 
 from servobus.port.pty import Pty
+from servobus.port.readable import readable
 
 CAPACITY = 4096
 COUNTERS = 'sent', 'taken', 'overrun', 'unheard', 'received'
@@ -80,6 +81,10 @@ class VirtualUart:
             return os.write(self.fd, data)
         except BlockingIOError:
             return 0
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until the other end writes, at most so long; return whether it has."""
+        return bool(readable([self.fd] * self.is_plugged_in, timeout_s))
 
     def read(self, most: int = _READ_SIZE) -> bytes:
         """Return what the other end wrote, at most so many bytes; b'' when nothing."""
