@@ -16,6 +16,8 @@ import time
 
 from mecarover_fakes.dxl1_servo import Servo1
 from mecarover_fakes.fake_options import add_options
+from mecarover_fakes.fake_options import one_signal
+from mecarover_fakes.fake_options import parse_options
 from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.fake_servo import FakeDevice
 from mecarover_fakes.faults import KINDS
@@ -81,7 +83,7 @@ def make_devices(entries: list[str], models: Models, baud: int, *,
 
 
 def _run(arguments: list[str]) -> int:
-    options = _parser().parse_args(arguments)
+    options = parse_options(_parser(), arguments)
     if options.list_faults:
         for name, kind in KINDS.items():
             print(f'{name:13} {kind.__doc__}')
@@ -99,12 +101,14 @@ def _run(arguments: list[str]) -> int:
     usb = VirtualUsb(options.usbmon, options.adapter, options.baud) if options.usbmon else None
     bus = FakeBus(master, link=options.link, tap=options.tap or False,
                   away=options.vanish, usb=usb)
-    print(f'fake_bus: {options.link or bus.path}, {options.baud} baud, {len(devices)} devices, '
-          f'pattern {pattern}' + (f', tap {options.tap}' if options.tap else ''), flush=True)
+    tapped = f', tap {options.tap}' if options.tap else ''
     try:
-        bus.start(options.seconds)
-        while bus.is_running:
-            time.sleep(WAIT_S)      # not join: interrupted, it takes the thread for ended
+        with one_signal():
+            print(f'fake_bus: {options.link or bus.path}, {options.baud} baud, {len(devices)} '
+                  f'devices, pattern {pattern}{tapped}', flush=True)
+            bus.start(options.seconds)
+            while bus.is_running:
+                time.sleep(WAIT_S)  # not join: interrupted, it takes the thread for ended
     except KeyboardInterrupt:
         if options.outlive:
             outlive(bus.path)

@@ -17,6 +17,8 @@ import time
 
 from mecarover_fakes.fake_options import add_options
 from mecarover_fakes.fake_options import Away
+from mecarover_fakes.fake_options import one_signal
+from mecarover_fakes.fake_options import parse_options
 from mecarover_fakes.guarded_receiver import GuardedReceiver
 from mecarover_fakes.receiver import BadCable
 from mecarover_fakes.receiver import Receiver
@@ -108,15 +110,16 @@ def main() -> int:
 
 
 def _main(arguments: list[str]) -> int:
-    options = _parser().parse_args(arguments)
+    options = parse_options(_parser(), arguments)
     cable = BadCable(drop=options.drop, flip=options.flip, deaf_after=options.deaf_after,
                      seed=options.seed)
     mcu = FakeMcu(options.link, baud=options.baud, crc=CRC_INPUTS[options.crc_input], cable=cable,
                   talks=not options.silent, watchdog=options.watchdog)
     printer = _Printer(mcu, as_json=options.json, frames=options.frames)
-    printer.begin(options.baud, options.crc_input)
     try:
-        _serve(mcu, printer, options.seconds, options.vanish)
+        with one_signal():
+            printer.begin(options.baud, options.crc_input)
+            _serve(mcu, printer, options.seconds, options.vanish)
     except KeyboardInterrupt:
         if options.outlive:
             outlive(mcu.path, lambda seconds: printer.show(mcu.pump(seconds)))

@@ -5,10 +5,44 @@
 from __future__ import annotations
 
 from argparse import ArgumentTypeError
+from argparse import Namespace
+from collections.abc import Iterator
+from collections.abc import Sequence
+from contextlib import contextmanager
+import signal
+from types import FrameType
 from typing import NamedTuple
 
+from mecarover_serial.parameters import split_ros_args
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
+
+
+def parse_options(parser: Parser, arguments: Sequence[str]) -> Namespace:
+    """Return the options; --ros-args, which a launch file adds to a Node, means nothing here."""
+    return parser.parse_args(split_ros_args(arguments)[1])
+
+
+@contextmanager
+def one_signal() -> Iterator[None]:
+    """Let the first signal end what is done in here; no other interrupts what is done after it."""
+    has_come = False
+
+    def end(signal_number: int, frame: FrameType | None) -> None:
+        nonlocal has_come
+        if not has_come:
+            has_come = True
+            raise KeyboardInterrupt
+
+    ending = [one for one in (signal.SIGINT, signal.SIGTERM)
+              if signal.getsignal(one) != signal.SIG_IGN]           # as nohup has it
+    for one in ending:
+        signal.signal(one, end)
+    try:
+        yield
+    finally:
+        for one in ending:
+            signal.signal(one, signal.SIG_IGN)
 
 
 def add_options(parser: Parser) -> None:

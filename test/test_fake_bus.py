@@ -7,11 +7,13 @@ import itertools
 import json
 import os
 from pathlib import Path
+import signal
 import subprocess
 import sys
 import time
 
 from harness import later
+from harness import Program
 from harness import wait
 import pytest
 from whole_truth import LEARNING
@@ -342,3 +344,19 @@ def test_command_plays_tells_totals_and_truth(tmp_path):
 def test_command_lists_faults():
     result = run_tool('--list-faults')
     assert [line.split()[0] for line in result.stdout.splitlines()] == list(KINDS)
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('tool', ['fake_bus', 'fake_mcu'])
+def test_a_launch_file_starts_it_as_a_node_and_ends_it(tmp_path, tool, number):
+    link = tmp_path / 'link'
+    with Program(f'mecarover_fakes.{tool}', '--link', str(link), '--ros-args', '-r',
+                 '__node:=fake', '-r', '__ns:=/rover1', '-p', 'use_sim_time:=true',
+                 '--params-file', '/tmp/launch_params') as fake:
+        fake.wait_for(str(link))
+        assert fake.children() == []
+        fake.signal(number)
+        fake.signal(signal.SIGTERM)         # an impatient user: the totals come all the same
+        assert fake.exit_code() == 0
+    assert fake.said('totals: ')
+    assert not link.is_symlink()

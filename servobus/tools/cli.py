@@ -58,7 +58,8 @@ def _run(tool: str, main: Callable[[list[str]], int | None]) -> int:
         failure, code = OSError(lost.errno, lost.strerror, 'stdout'), COULD_NOT_RUN
     if failure is not None:
         complain(tool, failure, code)
-    if is_command:                         # all is said: what is left must not be interrupted
+    # All is said: what is left must not be interrupted.
+    if is_command and signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
         signal.signal(signal.SIGINT, lambda *_: os._exit(code))
     return code
 
