@@ -29,6 +29,7 @@ from mecarover_fakes.values import TEMPERATURE
 from mecarover_fakes.values import VOLTAGE
 from msg_defs.dxl_instruction import ALERT
 from msg_defs.dxl_instruction import BACKUP_OPTIONS
+from msg_defs.dxl_instruction import CLEAR_KEYS
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import RESTORE
 from msg_defs.dxl_instruction import STORE
@@ -39,7 +40,6 @@ BOOT_NS = 200_000_000            # deaf after a start
 WATCHDOG_UNIT_NS = 20_000_000
 
 _KEPT_BY_RESET = {b'\xff': (), b'\x01': ('ID',), b'\x02': ('ID', 'Baud Rate')}
-_CLEAR_KEYS = (b'\x01DXL"', b'\x01ERCL', b'\x02ERCL')     # P1 of Error Clear: sources disagree
 
 
 class Reply(NamedTuple):
@@ -199,9 +199,8 @@ class FakeDevice(Registers):
             self.rest_angle = angle
 
     def _follow_address(self, address: int = 0, end: int = sys.maxsize) -> None:
-        """Follow ID and Baud Rate where they are in this range of registers."""
-        if self._written('ID', address, end):
-            self.id = self.get('ID')
+        """Follow ID, and Baud Rate where it is in this range of registers."""
+        self.id = self.get('ID', self.id)
         for name in ('Baud Rate', 'Baud Rate (Bus)'):
             if self._written(name, address, end):
                 self.baud = self.baud_codes.get(self.get(name), self.baud)
@@ -256,7 +255,7 @@ class FakeDevice(Registers):
         return Reply(OK)
 
     def _on_clear(self, params: bytes, now: int) -> Reply:
-        return Reply(OK if params in _CLEAR_KEYS and not self.torque else RESULT_FAIL)
+        return Reply(OK if params[1:] in CLEAR_KEYS and not self.torque else RESULT_FAIL)
 
     def _on_backup(self, params: bytes, now: int) -> Reply:
         option = BACKUP_OPTIONS.get(params)

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import math
+
 from mecarover_fakes.fake_servo import FakeDevice
 from mecarover_fakes.fault import Effect
 from mecarover_fakes.fault import MS
@@ -82,14 +84,14 @@ class Brownout(Effect):
     """The supply sags, then the device starts again."""
 
     def play(self) -> Play:
-        self._low_until: int | None = self.now + DIP_NS
+        self._low_until: float = self.now + DIP_NS
         for device in self.devices:
             device.voltage = VOLTAGE * 0.7
         yield
 
     def step(self) -> None:
-        if self._low_until is not None and self.now >= self._low_until:
-            self._low_until = None
+        if self.now >= self._low_until:
+            self._low_until = math.inf
             for device in self.devices:
                 device.restart(self.now, BOOT_NS)
                 device.voltage = VOLTAGE

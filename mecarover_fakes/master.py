@@ -47,14 +47,13 @@ class Master:
 
     def __init__(self, line: Line, pattern: Pattern, *, rate: float = 100.0,
                  faults: Iterable[Fault] = (), seed: int = 1, started: bool = False,
-                 gap: int = GAP_NS, patience: int = PATIENCE_NS,
-                 truth: GroundTruth | None = None) -> None:
+                 gap: int = GAP_NS, patience: int = PATIENCE_NS) -> None:
         self.line = line
         self.now = 0
-        self.truth = truth or GroundTruth()
+        self.truth = GroundTruth()
         self.pattern = pattern
         self._started = started
-        self._fleet = Fleet(line, self._clock)
+        self._fleet = Fleet(line, lambda: self.now)
         self._pace = MasterTiming(round(S / rate) if rate else 0, gap, patience)
         self._rng = Random(seed)
         self._faults = Faults(list(faults), FaultScope(line, self._fleet, self._pace, self._rng))
@@ -99,9 +98,6 @@ class Master:
     def is_over(self, now: int) -> bool:
         """Tell whether bursts() has nothing more to come at `now`."""
         return self._until is not None and now >= self._until
-
-    def _clock(self) -> int:
-        return self.now
 
     def _next_cycle(self, begin: int) -> int:
         """Move on to the next cycle; return when it should have begun."""

@@ -29,10 +29,7 @@ class VirtualUart:
         self._link = link
         self.is_plugged_in = False
         self.plug(plugged_in=True)
-        self.sent = 0
-        self.taken = 0               # by the pty, for the reader
-        self.overrun = 0
-        self.unheard = 0
+        self.sent = self.taken = self.overrun = self.unheard = 0
         self.received = 0            # from the other end
 
     def plug(self, *, plugged_in: bool) -> None:

@@ -51,8 +51,10 @@ FAST_DEVICES = ('1-10:XL430-W250', '11-15:XM540-W270')     # two different ones
 def make_master(pattern='moving', faults=(), *, devices=DEFAULT_DEVICES, baud=BAUD,
                 waits_in_line=True, **options):
     line = Line(make_devices(list(devices), MODELS, baud), baud, waits_in_line=waits_in_line)
-    return Master(line, PATTERNS[pattern], faults=[parse_fault(text) for text in faults],
-                  truth=WholeTruth(line), **options)
+    master = Master(line, PATTERNS[pattern], faults=[parse_fault(text) for text in faults],
+                    **options)
+    master.truth = WholeTruth(line)
+    return master
 
 
 def play(master, seconds=3.0):
