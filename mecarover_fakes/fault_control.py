@@ -40,7 +40,7 @@ def commands_from(place: str, command: Command) -> Iterator[None]:
         yield
         return
     if os.path.exists(place) and stat.S_ISSOCK(os.stat(place).st_mode):
-        os.unlink(place)               # of one that was killed
+        os.unlink(place)               # a bus that was killed left it
 
     class CommandLines(socketserver.StreamRequestHandler):
         def handle(self) -> None:
