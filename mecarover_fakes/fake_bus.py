@@ -17,6 +17,7 @@ import time
 
 from mecarover_fakes.dxl1_servo import Servo1
 from mecarover_fakes.fake_options import add_options
+from mecarover_fakes.fake_options import hold_signals
 from mecarover_fakes.fake_options import one_signal
 from mecarover_fakes.fake_options import parse_options
 from mecarover_fakes.fake_port import FakeBus
@@ -100,6 +101,7 @@ def _run(arguments: list[str]) -> int:
     master = Master(line, PATTERNS[pattern], rate=options.rate, seed=options.seed,
                     faults=[parse_fault(text) for text in options.fault],
                     started=options.mid_traffic, patience=round(options.patience * 1e6))
+    hold_signals()
     usb = VirtualUsb(options.usbmon, options.adapter, options.baud) if options.usbmon else None
     bus = FakeBus(master, link=options.link, tap=options.tap or False,
                   away=options.vanish, usb=usb)

@@ -17,6 +17,7 @@ import time
 
 from mecarover_fakes.fake_options import add_options
 from mecarover_fakes.fake_options import Away
+from mecarover_fakes.fake_options import hold_signals
 from mecarover_fakes.fake_options import one_signal
 from mecarover_fakes.fake_options import parse_options
 from mecarover_fakes.guarded_receiver import GuardedReceiver
@@ -113,6 +114,7 @@ def _main(arguments: list[str]) -> int:
     options = parse_options(_parser(), arguments)
     cable = BadCable(drop=options.drop, flip=options.flip, deaf_after=options.deaf_after,
                      seed=options.seed)
+    hold_signals()
     mcu = FakeMcu(options.link, baud=options.baud, crc=CRC_INPUTS[options.crc_input], cable=cable,
                   talks=not options.silent, watchdog=options.watchdog)
     printer = _Printer(mcu, as_json=options.json, frames=options.frames)

@@ -17,10 +17,17 @@ from mecarover_serial.parameters import split_ros_args
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
 
+_ENDING = (signal.SIGINT, signal.SIGTERM)
+
 
 def parse_options(parser: Parser, arguments: Sequence[str]) -> Namespace:
     """Return the options; --ros-args, which a launch file adds to a Node, means nothing here."""
     return parser.parse_args(split_ros_args(arguments)[1])
+
+
+def hold_signals() -> None:
+    """Let signals wait for one_signal(): a link that is being made must go away again."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
 
 
 @contextmanager
@@ -34,11 +41,12 @@ def one_signal() -> Iterator[None]:
             has_come = True
             raise KeyboardInterrupt
 
-    ending = [one for one in (signal.SIGINT, signal.SIGTERM)
+    ending = [one for one in _ENDING
               if signal.getsignal(one) != signal.SIG_IGN]           # as nohup has it
     for one in ending:
         signal.signal(one, end)
     try:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING)
         yield
     finally:
         for one in ending:

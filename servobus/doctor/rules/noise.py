@@ -563,8 +563,8 @@ def _noise_claims(case: Case) -> Claims:
     share_of = about(case.damage, packets + case.damage)
     picture = case.damage_picture()
     # Interference hits answers too; a second program's instructions meet those of the first.
-    answers = sum(device.window.answers for device in case.report.devices)
-    is_one_way = asked == case.damage and not case.spoilt and answers * 2 >= packets
+    is_one_way = asked == case.damage and not case.spoilt and \
+        2 * sum(device.window.answers for device in case.report.devices) >= packets
     if not case.report.has_sides and (
             is_one_way or (not picture and case.damage < NOISE_SURE_MIN_SHARE * packets)):
         how = 'instructions only' if is_one_way else 'in no clear way'
