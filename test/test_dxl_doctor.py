@@ -14,6 +14,7 @@ import os
 from pathlib import Path
 import random
 import re
+import select
 import signal
 import socket
 import subprocess
@@ -33,6 +34,7 @@ from mecarover_fakes.line import Line
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
 from msg_defs.event import Chunk
+from msg_defs.reports import Level
 from msg_defs.uart import byte_ns
 from msg_defs.uart import heard_at
 from servobus.bus.report import FAILED
@@ -52,9 +54,13 @@ from servobus.tools.doctor import no_data
 from servobus.tools.doctor.answer_screen import screen
 from servobus.tools.doctor.error_window import ErrorWindow
 from servobus.tools.doctor.program import Ending
+from servobus.tools.doctor.verdict import DeviceGroup
 from servobus.tools.doctor.verdict import ERROR
 from servobus.tools.doctor.verdict import make_verdict
 from servobus.tools.doctor.verdict import NOTHING_HEARD
+from servobus.tools.doctor.verdict import OpenPoint
+from servobus.tools.doctor.verdict import Trouble
+from servobus.tools.doctor.verdict import Verdict
 from servobus.tools.doctor.verdict import WARNING
 from servobus.tools.doctor.verdict import WELL
 
@@ -211,7 +217,47 @@ def test_a_hundred_devices_are_one_screen_too():
     lines = screen(said(heard('silent:40:1', devices=devices, seconds=4.0), devices))
     assert len(lines) < 24
     assert any('040' in line for line in lines)
+    shown = ' '.join(lines)
+    assert all(f'{number:03}' in shown for number in range(1, 101))
 
+
+def test_without_a_height_nothing_is_cut():
+    """However many devices, findings and open points there are, and however long their texts."""
+    text = 'a cause, and what to do about it; ' * 12
+    found = Verdict(
+        'bus.txt', (), tuple(DeviceGroup(f'{number:03}', f'model {number}', Level.OK)
+                             for number in range(40)),
+        tuple(Trouble(Level.ERROR, f'{number:03} arm ' * 20, 'no_answer', f'{text}{number}', text)
+              for number in range(20)),
+        (text,) * 5, (), cycles=(text,) * 5,
+        not_sure=tuple(OpenPoint(f'{number:03} leg ' * 20, '', text, text)
+                       for number in range(9)))
+    lines = screen(found, height=None)
+    assert max(map(len, lines)) <= 80
+    assert not any('...' in line or '--full' in line for line in lines)
+    shown = ' '.join(' '.join(lines).split())
+    assert shown.count(text.strip()) == 20 * 2 + 5 + 5 + 9 * 2
+    assert all(shown.count(f'{number:03} arm') == 20 for number in range(20))
+    assert all(f'model {number} ' in shown for number in range(40))
+    assert all(f'model {number} ' in ' '.join(screen(found)) + ' ' for number in range(40))
+
+
+def test_it_is_whole_where_there_is_no_screen_and_on_one_with_full(tmp_path):
+    path = capture(tmp_path / 'bus.txt', *FAULTS[-1])
+    near, far = os.openpty()
+    shown = []
+    for more in ((), ('--full',)):
+        forked.run(DOCTOR, path, *more, stdout=far,
+                   env={**os.environ, 'LINES': '24', 'COLUMNS': '80', 'NO_COLOR': '1'})
+        text = b''
+        while select.select([near], [], [], 0)[0]:
+            text += os.read(near, 4096)
+        shown.append(text.decode().splitlines())
+    os.close(near)
+    os.close(far)
+    cut, whole = shown
+    assert len(cut) < 24 <= len(whole)
+    assert whole == doctor(path).stdout.splitlines()
 
 def test_a_file_to_the_screen_and_to_programs(tmp_path):
     path = capture(tmp_path / 'bus.txt', 'silent:4:2')

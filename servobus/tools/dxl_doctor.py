@@ -268,8 +268,9 @@ def _print(verdict: Verdict, for_programs: dict[str, Any], options: argparse.Nam
     if options.source == RUN:
         print()                        # the program may have left a line without an end
     width, height = shutil.get_terminal_size((WIDTH, HEIGHT + 1))
-    print('\n'.join(screen(verdict, has_colours(), width, max(HEIGHT, height - 1))),
-          flush=True)
+    is_whole = options.full or not sys.stdout.isatty()
+    print('\n'.join(screen(verdict, has_colours(), width,
+                           None if is_whole else max(HEIGHT, height - 1))), flush=True)
 
 
 def _show_saved(saved: SavedReport, models: Models, options: argparse.Namespace) -> int:
@@ -316,6 +317,7 @@ def _parser() -> Parser:
     add('--with-host', action='store_true',
         help='put host, user, serial number and command line into it')
     add('--explain', metavar='TEXT', help='explain an error text and exit')
+    add('--full', action='store_true', help='do not cut the answer to the size of the terminal')
     add('--json', action='store_true', help='print one JSON object, for programs')
     return parser
 
