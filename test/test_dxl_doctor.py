@@ -272,6 +272,56 @@ def test_a_file_to_the_screen_and_to_programs(tmp_path):
         == [('no_answer', 4)]
 
 
+def parts(schema):
+    """Yield all objects of a schema."""
+    if isinstance(schema, dict):
+        yield schema
+    for one in schema.values() if isinstance(schema, dict) else schema:
+        if isinstance(one, dict | list):
+            yield from parts(one)
+
+
+@cache
+def validator():
+    """Return what checks an output of --json; a key that the schema does not name is an error."""
+    jsonschema = pytest.importorskip('jsonschema', reason='skipped: no jsonschema here')
+    schema = json.loads((ROOT / 'docs/dxl_doctor.schema.json').read_text())
+    jsonschema.Draft202012Validator.check_schema(schema)
+    for part in parts(schema):
+        if 'properties' in part:
+            part['additionalProperties'] = False
+        kinds = part.get('type', ())
+        assert bool(kinds) <= bool(part.get('description'))
+        is_number = {'number', 'integer'} & {*([kinds] if isinstance(kinds, str) else kinds)}
+        assert bool(is_number) == ('unit' in part), part
+    return jsonschema.Draft202012Validator(schema)
+
+
+@pytest.mark.parametrize(('faults', 'code', 'key'), [
+    ((), WELL, 'buses'), (FAULTS[-1], ERROR, 'buses'), (None, NOTHING_HEARD, 'nothing_heard')])
+def test_the_schema_describes_an_answer(tmp_path, faults, code, key):
+    path = tmp_path / 'bus.txt'
+    if faults is None:
+        path.write_bytes(b'')
+    else:
+        capture(path, *faults)
+    done = doctor(path, '--json')
+    found = json.loads(done.stdout)
+    validator().validate(found)
+    assert (done.returncode, found['exit'], bool(found[key])) == (code, code, True)
+
+
+@pytest.mark.parametrize(('arguments', 'code'), [
+    (['no_such_file.txt'], 1), (['/dev/ttyNone'], 1), (['serial://'], 1),
+    (['README.md', '--flight-recorder', 'faults'], 2)])
+def test_a_failure_is_json_too(arguments, code):
+    done = doctor('--json', *arguments)
+    failure = json.loads(done.stdout)
+    validator().validate(failure)
+    assert (done.returncode, failure['exit']) == (code, code)
+    assert done.stderr == f"dxl_doctor: {failure['error']}\n"
+
+
 def test_a_file_without_a_byte(tmp_path):
     path = tmp_path / 'empty.txt'
     path.write_bytes(b'')
@@ -360,6 +410,7 @@ def test_a_program_that_ends_on_a_question(error, code, rules, meeting_place):
     done = doctor('--json', 'run', '--', sys.executable, '-c', RAISES.format(error=error),
                   env={'XDG_RUNTIME_DIR': meeting_place, 'PYTHONPATH': str(ROOT)})
     found = json.loads(done.stdout)                    # what the program prints is not there
+    validator().validate(found)
     assert 'begins' in done.stderr
     assert [one['rule'] for one in found['buses'][0]['findings']] == rules
     assert (done.returncode, found['program']['exit'] != 0) == (code, True)

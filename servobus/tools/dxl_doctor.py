@@ -28,11 +28,14 @@ from servobus.model.models import Models
 from servobus.plain import on_screen
 from servobus.plain import plain
 from servobus.plain import printable
+from servobus.port.port_error import PortError
 from servobus.sources.capture import Wire
 from servobus.sources.flight_recorder import FlightRecorder
 from servobus.sources.opening import open_source
 from servobus.sources.source_name import DEFAULT_BAUD
 from servobus.tools.cli import DONE
+from servobus.tools.cli import exit_code
+from servobus.tools.cli import one_line
 from servobus.tools.cli import print_problems
 from servobus.tools.cli import run_tool
 from servobus.tools.command_line import number
@@ -82,6 +85,16 @@ def main() -> int:
 
 def _run(arguments: list[str]) -> int:
     options, command = parse_run(_parser(), arguments)
+    options.is_answered = False
+    try:
+        return _answer(options, command)
+    except (UsageError, ParameterError, PortError, OSError) as error:
+        if options.json and not (options.is_answered or isinstance(error, BrokenPipeError)):
+            print(json.dumps({'error': one_line(error), 'exit': exit_code(error)}))
+        raise
+
+
+def _answer(options: argparse.Namespace, command: Sequence[str]) -> int:
     if options.explain is not None:
         return _explain(options.explain)
     if options.source is None:
@@ -262,6 +275,7 @@ class _Progress:
 
 
 def _print(verdict: Verdict, for_programs: dict[str, Any], options: argparse.Namespace) -> None:
+    options.is_answered = True         # a second object would be no JSON
     if options.json:
         print(json.dumps(for_programs), flush=True)
         return
