@@ -428,6 +428,32 @@ input()
 """
 
 
+ASKS_ON = """
+import select
+import sys
+import serial
+port = serial.Serial({!r}, 1000000, timeout=0.01)
+while not select.select([sys.stdin], [], [], 0)[0]:
+    port.write(bytes((255, 255, 1, 2, 1, 251)))
+    port.read(6)
+"""
+
+
+@pytest.mark.realtime(bears=0.02)
+def test_the_first_finding_comes_while_the_program_runs(meeting_place, tmp_path):
+    with Pty(str(tmp_path / 'bus')) as pty, subprocess.Popen(
+            [sys.executable, '-m', DOCTOR, 'run', '--', sys.executable, '-c',
+             ASKS_ON.format(pty.path)],
+            env={**os.environ, 'XDG_RUNTIME_DIR': meeting_place}, cwd=ROOT, text=True,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as tool:
+        first = next(line for line in tool.stderr if 'no answer' in line)
+        assert first.startswith('dxl_doctor: 001: no answer: ')
+        assert tool.poll() is None
+        answer, more = tool.communicate('\n', timeout=60)
+    assert 'no answer' not in more and '\033' not in first + more
+    assert 'error, 001: no answer' in answer
+
+
 @pytest.mark.realtime(bears=0.02)
 def test_it_answers_in_time_while_the_program_goes_on(meeting_place, tmp_path):
     with Pty(str(tmp_path / 'bus')) as pty, subprocess.Popen(

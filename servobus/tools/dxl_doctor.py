@@ -168,7 +168,7 @@ class _DoctorRun:
         source, examination = self._source, self._examination
         began_s = time.monotonic()
         is_over = True
-        with _Progress() as progress:
+        with _Progress(self._program is not None) as progress:
             try:
                 for chunk in source.chunks():
                     if chunk is not None:
@@ -247,21 +247,24 @@ class _DoctorRun:
 
 
 class _Progress:
-    """What is heard meanwhile, in one line in place, and the first finding; on a terminal."""
+    """
+    What is heard meanwhile, in one line in place, on a terminal; and the first finding.
 
-    def __init__(self) -> None:
+    That of a program comes without a terminal too: it may run for hours before the answer.
+    """
+
+    def __init__(self, of_program: bool) -> None:
         self._is_shown = sys.stderr.isatty()
+        self._awaits_finding = self._is_shown or of_program
         self._next_s = PROGRESS_EVERY_S
-        self._is_well = True
 
     def show(self, examination: Examination, now_s: float) -> None:
-        if not self._is_shown:
-            return
-        worst = examination.worst() if self._is_well else ''
+        worst = examination.worst() if self._awaits_finding else ''
         if worst:
-            self._is_well = False
-            on_screen(sys.stderr, f'\r\033[Kdxl_doctor: {plain(worst)}\r\n')
-        if now_s >= self._next_s:
+            self._awaits_finding = False
+            text = f'dxl_doctor: {plain(worst)}'
+            on_screen(sys.stderr, f'\r\033[K{text}\r\n' if self._is_shown else f'{text}\n')
+        if self._is_shown and now_s >= self._next_s:
             self._next_s = now_s + PROGRESS_EVERY_S
             text = plain(f'dxl_doctor, {now_s:.0f} s, Ctrl-C ends: {examination.summary()}')
             on_screen(sys.stderr, f'\r{text[:78]}\033[K\r')       # a program may print there too
