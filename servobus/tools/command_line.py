@@ -41,10 +41,21 @@ class _Version(argparse.Action):
         parser.exit()
 
 
+def baud_rate(text: str) -> int:
+    """Return the rate (Bd) of '1M', '57.6k' or '115200'; ValueError where it is none."""
+    factor = {'k': 1e3, 'm': 1e6}.get(text[-1:].lower())
+    if factor is None:
+        return int(text)
+    rate = round(float(text[:-1]) * factor, 3)         # 57.6 has no exact float
+    if not rate.is_integer():
+        raise ValueError(text)
+    return int(rate)
+
+
 def number(kind: Callable[[str], float], least: float, most: float = math.inf, unit: str = ''
            ) -> Callable[[str], float]:
     """Return the type of an option: a number of this kind (int, float) within limits."""
-    what = 'a whole number' if kind is int else 'a number'
+    what = 'a number' if kind is float else 'a whole number'
     limits = f'from {least:.10g} to {most:.10g}'
     if most == math.inf:
         limits = f'of {least:.10g} or more'
