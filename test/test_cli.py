@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 
+import forked
 from harness import later
 from harness import Program
 import pytest
@@ -81,6 +82,19 @@ def test_version_with_the_commit(tool):
     failed, commit = subprocess.getstatusoutput(f'git -C {root} rev-parse --short HEAD')
     known = '' if failed or not (root / '.git').exists() else f', commit {commit}'
     assert re.fullmatch(rf'{tool} \(mecarover_serial\) [\d.]+{known}\n', done.stdout)
+
+
+@pytest.mark.parametrize(('arguments', 'remedy'), [
+    (['--check', 'models'], 'did you mean --check-models?'),
+    (['x', '--sumary'], 'did you mean --summary?'),
+    (['x', '--secs=3'], 'did you mean --seconds?'),
+    (['x', '--zzzz'], 'see dxl_dump --help'),
+    (['x', '--instruction', 'wirte'], 'did you mean write?; or give a code like 0x83')])
+def test_a_word_that_is_nearly_right(arguments, remedy):
+    """No option is accepted by its first letters: what they mean changes with each new option."""
+    done = forked.run_text('servobus.tools.dxl_dump', *arguments)
+    assert (done.returncode, done.stdout, done.stderr.count('\n')) == (2, '', 1)
+    assert done.stderr.endswith(f'; {remedy}\n')
 
 
 @pytest.mark.parametrize(('text', 'rate'), [

@@ -9,6 +9,7 @@ import math
 from typing import Any
 from typing import NoReturn
 
+from servobus.errors import nearest
 from servobus.errors import UsageError
 from servobus.plain import printable
 from servobus.tools.cli import wrapped
@@ -20,7 +21,7 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, name: str, description: str, epilog: str = '', usage: str | None = None):
         super().__init__(
-            prog=name, usage=usage, description=description, epilog=epilog,
+            prog=name, usage=usage, description=description, epilog=epilog, allow_abbrev=False,
             formatter_class=argparse.RawDescriptionHelpFormatter)
         self.add_argument('--version', action=_Version, help='print the version and exit')
 
@@ -29,7 +30,10 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Let the tool end with one line, as after every other mistake."""
-        raise UsageError(f"{message.removeprefix('argument ')}; see {self.prog} --help")
+        word = message.removeprefix('unrecognized arguments: ').split()[0].partition('=')[0]
+        near = word.startswith('--') and nearest(word, self._option_string_actions)
+        remedy = f'did you mean {near}?' if near else f'see {self.prog} --help'
+        raise UsageError(f"{message.removeprefix('argument ')}; {remedy}")
 
 
 class _Version(argparse.Action):
