@@ -42,6 +42,7 @@ from servobus.port.pty import outlive
 from servobus.settings import check_models
 from servobus.settings import load_models
 from servobus.tools.cli import run_tool
+from servobus.tools.command_line import baud_rate
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
 
@@ -166,7 +167,7 @@ def _parser() -> Parser:
         'adapter; listen with usb:PATH')
     add('--adapter', choices=FAMILIES, default='ftdi', metavar='KIND',
         help=f"kind of adapter that --usbmon shows: {', '.join(FAMILIES)} (default %(default)s)")
-    add('-b', '--baud', type=number(int, 1),
+    add('-b', '--baud', type=number(baud_rate, 1),
         help='baud rate (default 2000000, with the other dialects 1000000)')
     add('--dialect', '--protocol', choices=PROTOCOLS, default='2',
         type=lambda text: 'dxl1' if text == '1' else text, help='2: Dynamixel Protocol 2.0, dxl1 '

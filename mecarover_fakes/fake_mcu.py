@@ -31,6 +31,7 @@ from msg_defs.crc import CRC_INPUTS
 from msg_defs.vel2d import FRAME_SIZE
 from servobus.port.pty import outlive
 from servobus.tools.cli import run_tool
+from servobus.tools.command_line import baud_rate
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
 
@@ -189,7 +190,7 @@ def _parser() -> Parser:
         'set-points that it takes.')
     add_options(parser)
     add, count = parser.add_argument, number(int, 0)
-    add('-b', '--baud', type=number(int, 1), default=115200,
+    add('-b', '--baud', type=number(baud_rate, 1), default=115200,
         help='baud rate of the simulated line (default %(default)s)')
     add('--crc-input', choices=sorted(CRC_INPUTS), default='bytes',
         help='how the CRC unit is fed (default %(default)s)')

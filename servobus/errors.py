@@ -20,6 +20,11 @@ class UsageError(ServobusError):
 
 def did_you_mean(name: str, names: Collection[str]) -> str:
     """Return the remedy for a name that is none of `names`: the nearest of them, or all."""
+    near = nearest(name, names)
+    return f'did you mean {near}?' if near else f'there are: {", ".join(names)}'
+
+
+def nearest(name: str, names: Collection[str]) -> str:
+    """Return the one of `names` that is most like `name`, '' if none is."""
     import difflib  # few runs need it
-    near = difflib.get_close_matches(name, names, 1)
-    return f'did you mean {near[0]}?' if near else f'there are: {", ".join(names)}'
+    return next(iter(difflib.get_close_matches(name, names, 1)), '')

@@ -48,10 +48,8 @@ def _run(tool: str, main: Callable[[list[str]], int | None]) -> int:
         pass                               # the reader of our output (head, less) has left
     except SystemExit as ending:           # argparse has said all
         code = ending.code if isinstance(ending.code, int) else COULD_NOT_RUN
-    except (UsageError, ParameterError) as error:
-        failure, code = error, WRONG_USAGE
-    except (PortError, OSError) as error:
-        failure, code = error, COULD_NOT_RUN
+    except (UsageError, ParameterError, PortError, OSError) as error:
+        failure, code = error, exit_code(error)
     lost = _lost_output()
     if lost is not None and not isinstance(lost, BrokenPipeError):
         failure, code = OSError(lost.errno, lost.strerror, 'stdout'), COULD_NOT_RUN
@@ -98,14 +96,24 @@ def _discard(stream: TextIO) -> None:
 
 def complain(tool: str, error: Exception, code: int) -> int:
     """Print one line about an error under the name of the tool, and return `code`."""
-    text = str(error)
-    if isinstance(error, OSError) and error.strerror:
-        text = f'{error.filename}: {error.strerror}' if error.filename else error.strerror
     try:
-        print(f'{tool}: {printable(text)}', file=sys.stderr, flush=True)
+        print(f'{tool}: {one_line(error)}', file=sys.stderr, flush=True)
     except OSError:                        # it is full, or its reader has left
         _discard(sys.stderr)
     return code
+
+
+def exit_code(error: Exception) -> int:
+    """Return the exit code of a tool that an error ends."""
+    return WRONG_USAGE if isinstance(error, (UsageError, ParameterError)) else COULD_NOT_RUN
+
+
+def one_line(error: Exception) -> str:
+    """Return what is printed of an error."""
+    text = str(error)
+    if isinstance(error, OSError) and error.strerror:
+        text = f'{error.filename}: {error.strerror}' if error.filename else error.strerror
+    return printable(text)
 
 
 def print_problems(tool: str, problems: Iterable[str]) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 import sys
 
 from msg_defs.dxl_instruction import NAMES
+from servobus.errors import did_you_mean
 from servobus.errors import UsageError
 from servobus.model.models import check_models
 from servobus.model.models import model_files
@@ -120,8 +121,8 @@ def _code(text: str) -> tuple[int]:
     except ValueError:
         code = -1
     if not 0 <= code <= 0xFF:
-        raise UsageError(f"{text!r}: not an instruction; use one of {', '.join(codes)}, or a code "
-                         'like 0x83')
+        raise UsageError(f'{text!r}: not an instruction; {did_you_mean(name, codes)}; or give a '
+                         'code like 0x83')
     return (code,)
 
 

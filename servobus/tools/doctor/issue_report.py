@@ -107,7 +107,7 @@ def make_report(verdict: Verdict, buses: Sequence[BusSummary], seconds: float, m
     """Return the text of a report; verdict and buses are those of the names in it."""
     stored = {'verdict': verdict._asdict(), 'json': as_json(verdict, buses, seconds),
               'devices': list(maker.devices), 'protocol': maker.protocol}
-    text = [f'{REPORT} {VERSION}', *_ABOUT, '', *screen(verdict, height=1000), '', 'System:']
+    text = [f'{REPORT} {VERSION}', *_ABOUT, '', *screen(verdict, height=None), '', 'System:']
     text += [f'  {printable(line)}' for line in (*maker.system, *maker.adapters, *maker.host)]
     for bus in buses:
         text += ['', *_figures(bus)]
