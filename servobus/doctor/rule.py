@@ -90,14 +90,16 @@ class Rule:
     onset_s: float = 0.0           # claimed without a break for so long, before it is reported
     holds: bool = True             # lasts some seconds longer than its evidence; a state does not
     each_device: bool = False
-    # What it is asked of: all, or where there are such incidents, models of these protocols, a
-    # model that was named: the registers alone may be known by what the program uses.
+    # What it is asked of: all, or where there are such incidents, values of these registers,
+    # models of these protocols, a model that was named: the registers alone may be known by what
+    # the program uses.
     needs_incident: tuple[IncidentKind[Any], ...] = ()
+    needs_registers: Set[str] = frozenset()
     protocols: tuple[str, ...] = ()
     needs_model: bool = False
     name: str = ''                 # as in the key finding.<name>
-    # From a case to what is found; with `each_device` or `needs_incident` from a case and a
-    # device to what is found of it, or None. Set by the decorator.
+    # From a case to what is found; with `each_device`, `needs_incident` or `needs_registers` from
+    # a case and a device to what is found of it, or None. Set by the decorator.
     check: Callable[..., Any] = iter
 
     def __call__(self, check: Callable[..., Any]) -> Rule:

@@ -57,7 +57,7 @@ def standing_claim(case: Case, rule: Rule, claim: Claim,
 
 def kept_claim(case: Case, one: StandingClaim) -> StandingClaim | None:
     """Return a claim that is not made any more, if what it rests on was not seen since."""
-    if one.reading is None or not any(number in case.devices for number in _devices(one.claim)):
+    if one.reading is None or not any(number in case.by_id for number in _devices(one.claim)):
         return None
     now = _read_last(case, one.claim)
     if now is not None and not _is_same(now, one.reading):
@@ -87,7 +87,7 @@ def _read_last(case: Case, claim: Claim) -> Reading | None:
     name, *others = claim.rests_on
     numbers = _devices(claim)
     if name == ANSWER:
-        [ago_s] = (case.devices[number].last_heard_s for number in numbers)
+        [ago_s] = (case.by_id[number].last_heard_s for number in numbers)
         return None if ago_s is None else Reading(case.stamp_ago(ago_s), 'heard', '', ())
     tables = [case.values[number] for number in numbers
               if number in case.values and name in case.values[number]]

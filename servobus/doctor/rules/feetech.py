@@ -118,7 +118,7 @@ def mixed_firmware(case: Case) -> Claims:
     Do: update them.
     """
     by_model: defaultdict[str, dict[int, str]] = defaultdict(dict)
-    for device in case.report.devices:
+    for device in case.devices:
         if device.model.protocol == FEETECH:
             seen = case.values[device.id]
             parts = [seen[name].value.text for name in (

@@ -177,7 +177,7 @@ def text(case: Case) -> Claims:
 
     Do: switch the board to pass-through; switch the login prompt off; stop ModemManager.
     """
-    noise, devices = case.report.noise, case.report.devices
+    noise, devices = case.report.noise, case.devices
     if not noise or not case.report.is_answered:
         return
     answers = any(device.window.answers for device in devices)
@@ -188,7 +188,7 @@ def text(case: Case) -> Claims:
     since = min(WINDOW_S, case.heard_s - BOOT_S)
     goes_on = since > 0 and case.increase_of('bytes', since) \
         - case.increase_of('packet_bytes', since) >= TEXT_MIN_BYTES
-    seen = f'text {"comes back" if case.report.has_sides else "is on the bus"} (`{first}`)'
+    seen = f'text {"comes back" if case.has_sides else "is on the bus"} (`{first}`)'
     if _MODEM.search(noise):
         yield Claim(f'{seen}, the commands of a modem: ModemManager or another program uses the '
                     'port; stop it')
@@ -198,7 +198,7 @@ def text(case: Case) -> Claims:
     elif goes_on and not answers:
         yield Claim(f'{seen}: the board runs firmware of its own and passes nothing on to the '
                     'servos; switch it to pass-through')
-    elif case.report.failed or answers:
+    elif case.failed or answers:
         yield Claim(f'{seen} while the board starts: wait 2 s after opening the port; if text '
                     'still comes then, switch the board to pass-through',
                     {}, Level.WARN)
@@ -275,7 +275,7 @@ def _value_written(case: Case, device: DeviceReport, name: str) -> int:
     """Return what was written, where no model was known then and it says nothing since; or -1."""
     one = case.values[device.id].get(name)
     is_gone = device.id in case.gone or (
-        case.report.failed and device.missed_in_a_row >= INCIDENTS_MIN)
+        case.failed and device.missed_in_a_row >= INCIDENTS_MIN)
     if one is None or one.source != 'w' or not is_gone or device.model.number is not None \
             or (device.last_heard_s or 0.0) < one.age_s - AFTER_WRITE_S:
         return -1
@@ -293,7 +293,7 @@ def protocol_1(case: Case) -> Claims:
     """
     if case.count(ev.PROTOCOL_1) <= 1:
         return
-    answered = [device for device in case.report.devices if device.window.answers]
+    answered = [device for device in case.devices if device.window.answers]
     of_2 = [device.id for device in answered if device.protocol == words.PROTOCOL_2]
     others = [device for device in answered if device.protocol != words.PROTOCOL_2]
     if not of_2 and case.report.protocol not in ('', words.PROTOCOL_2):
@@ -368,20 +368,20 @@ def echo(case: Case) -> Claims:
 
     Do: switch the adapter's echo off.
     """
-    if case.report.has_sides:          # what it says twice it says itself
+    if case.has_sides:          # what it says twice it says itself
         least = ECHO_MIN_INSTRUCTIONS
         heard_back, asked = case.increase_of('echoes'), case.increase_of('instructions')
-        if case.report.failed:         # it may have ended on the first
+        if case.failed:         # it may have ended on the first
             least, heard_back, asked = 1, case.report.kinds.get(ev.ECHO, 0), \
                 case.report.counters['Instructions']
         if heard_back >= least and heard_back > ECHO_MIN_SHARE * asked:
             yield Claim('the master receives what it sends: its adapter echoes; switch the '
                         'echo off, or let the program skip it', {'echoes': heard_back},
-                        None if any(one.window.answers for one in case.report.devices)
+                        None if any(one.window.answers for one in case.devices)
                         else Level.ERROR)
         return
     again = [one for one in case.incidents(ev.REPEATED) if one.detail.us < ECHO_MAX_US]
-    answered = sum(cycle.asked > 0 for cycle in case.report.cycles)
+    answered = sum(cycle.asked > 0 for cycle in case.cycles)
     if answered and len(again) >= ECHO_MIN_INSTRUCTIONS \
             and 2 * len(again) > case.count(ev.REPEATED):
         yield Claim('every instruction is heard twice: the adapter echoes what its master '
@@ -405,7 +405,7 @@ def duplicate_id(case: Case, device: DeviceReport) -> Found | None:
         twice = case.count(ev.ANSWERED_AGAIN, device)
     window = device.window
     models = window.model_changes >= 2 and window.spoilt >= INCIDENTS_MIN
-    at_end = case.report.failed == words.RAISED and twice == case.count(ev.SECOND_ANSWER)
+    at_end = case.failed == words.RAISED and twice == case.count(ev.SECOND_ANSWER)
     others = case.count(ev.UNASKED, device) + case.count(ev.LATE, device)
     if _says_too_much(case, device):
         return Claim('more bytes come than its answers have, not so from others: two '
@@ -428,7 +428,7 @@ def _says_too_much(case: Case, device: DeviceReport) -> bool:
     overlong, asked = device.window.overlong_replies, device.window.asked
     if overlong < max(OVERLONG_MIN_ANSWERS, OVERLONG_MIN_SHARE * asked) or case.count(ev.LATE):
         return False
-    others = [one.window for one in case.report.devices
+    others = [one.window for one in case.devices
               if one is not device and one.window.answers >= overlong]
     return bool(others) and all(10 * one.overlong_replies <= overlong for one in others)
 
@@ -444,7 +444,7 @@ def _alone_answers_again(case: Case, device: DeviceReport) -> bool:
     again = case.count(ev.ANSWERED_AGAIN, device)
     if not again or case.count(ev.PROTOCOL_1, device):
         return False
-    others = [one for one in case.report.devices
+    others = [one for one in case.devices
               if one is not device and one.window.answers >= again]
     return len(others) > 1 and again == case.count(ev.ANSWERED_AGAIN) \
         and again >= AGAIN_MIN_SHARE * case.damage and not any(one.window.spoilt for one in others)
@@ -481,7 +481,7 @@ def turnaround(case: Case) -> Claims:
 
     Do: raise Return Delay Time by 2 to 4 us.
     """
-    touched = [device for device in case.report.devices if _first_bytes(device)]
+    touched = [device for device in case.devices if _first_bytes(device)]
     hit = [device for device in touched if _first_bytes(device) > INCIDENTS_MIN
            and _first_bytes(device) > TURNAROUND_MIN_SHARE * device.window.answers
            and _first_bytes(device) > FIRST_BYTE_BY_CHANCE * device.window.spoilt]
@@ -548,7 +548,7 @@ def _noise_claims(case: Case) -> Claims:
     if case.damage < NOISE_MIN_PACKETS or case.damage < NOISE_MIN_SHARE * packets \
             or case.damage_s < DAMAGE_ONSET_S:
         return
-    hit = [device.id for device in case.report.devices if device.window.spoilt]
+    hit = [device.id for device in case.devices if device.window.spoilt]
     asked = _asked_damaged(case)
     if asked < BOTH_WAYS_MIN_SHARE * case.damage and _most_hit(case) is not None:
         return
@@ -561,7 +561,7 @@ def _noise_claims(case: Case) -> Claims:
     way = 'in both directions' if both_ways else 'in answers'
     share_of = about(case.damage, packets + case.damage)
     picture = case.damage_picture()
-    if not (picture or case.report.has_sides) and case.damage < NOISE_SURE_MIN_SHARE * packets:
+    if not (picture or case.has_sides) and case.damage < NOISE_SURE_MIN_SHARE * packets:
         yield Doubt(f'{share_of} of the packets damaged, in no clear way: interference, or a '
                     'second program', step=f'{STOP_OTHERS}: what is damaged then is interference')
         return
@@ -580,7 +580,7 @@ def _asked_damaged(case: Case) -> int:
 
 def _most_hit(case: Case) -> DeviceReport | None:
     """Return the device that has most of all spoilt answers, if there is one."""
-    worst = max(case.report.devices, key=lambda device: device.window.spoilt, default=None)
+    worst = max(case.devices, key=lambda device: device.window.spoilt, default=None)
     if worst is None or worst.window.spoilt < INCIDENTS_MIN \
             or worst.window.spoilt < ONE_DEVICE_MIN_SHARE * case.spoilt:
         return None
@@ -598,9 +598,9 @@ def damaged_answers(case: Case) -> Claims:
     """
     worst = _most_hit(case)
     last = case.last_wait
-    for device in case.report.devices if case.report.failed and worst is None else ():
+    for device in case.devices if case.failed and worst is None else ():
         if not device.missed_in_a_row or not device.window.spoilt or (
-                case.report.failed != words.RAISED and (last is None or device.id != last.device)):
+                case.failed != words.RAISED and (last is None or device.id != last.device)):
             continue
         yield Claim('its last answer was damaged, so the program ended: a bad cable, '
                     'or a second device with its ID: it answers a Ping while this one is '
@@ -616,7 +616,7 @@ def damaged_answers(case: Case) -> Claims:
         return
     window = worst.window
     others = ', others whole' if any(
-        device.window.answers for device in case.report.devices if device is not worst) else ''
+        device.window.answers for device in case.devices if device is not worst) else ''
     yield Claim(f'{about(window.spoilt, window.asked)} of its answers damaged{others}: '
                 'a bad cable or a second device with its ID; unplug it and ping its ID',
                 {**case.damage_picture(worst),
@@ -634,7 +634,7 @@ def not_sent(case: Case) -> Claims:
     Do: switch flow control off; do not flush output after a write.
     """
     count = case.count(ev.NOT_SENT)
-    if count >= (1 if case.report.failed else INCIDENTS_MIN):
+    if count >= (1 if case.failed else INCIDENTS_MIN):
         asked = sorted({one.device for one in case.incidents(ev.NOT_SENT)})
         yield Claim(f'{count} instructions never left the adapter: in the program, switch '
                     'flow control off and do not flush output after a write; else plug the '
@@ -657,7 +657,7 @@ def stray_bytes(case: Case) -> Claims:
                     'driver enable switches late or the line floats; add bias resistors',
                     {'packets': stray})
     last, spoilt = case.last_wait, sum(one.is_spoilt for one in case.report.waits)
-    if case.report.failed == words.RAISED and last is not None and last.is_spoilt and not last.us \
+    if case.failed == words.RAISED and last is not None and last.is_spoilt and not last.us \
             and spoilt <= case.report.kinds.get(ev.GLITCH, 0):     # it left the end of no other
         yield Claim('a stray byte before the answer on which the program ended: driver '
                     'enable switches late or the line floats; add bias resistors',

@@ -106,14 +106,14 @@ def two_masters(case: Case) -> Claims:
                     'another program uses this bus; stop '
                     'one', {'instructions': foreign})
         return
-    lost = sum(one.window.missed for one in case.report.devices if one.id not in case.gone)
+    lost = sum(one.window.missed for one in case.devices if one.id not in case.gone)
     harm = lost + case.damage + case.count(ev.LATE) + INCIDENTS_MIN * case.count(ev.UNASKED)
     if STOLE_REPLIES in case.report.users or (case.report.users and harm >= INCIDENTS_MIN):
         yield Claim(f'{", ".join(case.report.users)} uses this port too, and answers get '
                     'lost or damaged: let only one use it',
                     {'missed answers': lost, 'damaged packets': case.damage}, is_certain=True)
         return
-    if case.report.has_sides and harm < INCIDENTS_MIN:
+    if case.has_sides and harm < INCIDENTS_MIN:
         return                                 # one program with two timers, or with a lock
     pair = _independent_rhythms(case)
     if pair is None:
@@ -183,13 +183,13 @@ def impatient_master(case: Case) -> Claims:
         worst = again.most_common(1)[0][0]
         words = f'the master repeats {name_of(worst)} at once, {again.total()} times in 10 s'
         yield Doubt(f'{words}, though it got whole answers: its parser may reject them') \
-            if case.report.has_sides and not case.waits(WINDOW_S) else \
+            if case.has_sides and not case.waits(WINDOW_S) else \
             Claim(f'{words}: its time-out is shorter than the answers take; raise it',
                   {'repeated': again.total()})
         return
     if _gives_up_at_once(case) and case.damage >= INCIDENTS_MIN \
             and any(case.recent_counts(device, WAITS_WINDOW_S).answers
-                    for device in case.report.devices):
+                    for device in case.devices):
         yield Claim('the master does not wait for answers and sends during them: it gives '
                     f'up within {FACTORY_DELAY_US} us, before a servo with factory settings '
                     'answers; raise its time-out', {'given up at once': _gives_up_at_once(case)})
@@ -213,7 +213,7 @@ def _gives_up_at_once(case: Case) -> int:
     waits = case.waits(WAITS_WINDOW_S)
     hasty = [one.us for one in waits if not one.is_spoilt]
     if len(hasty) < HASTY_MIN_WAITS or (
-            case.report.has_sides and len(hasty) < HASTY_MIN_SHARE * len(waits)):
+            case.has_sides and len(hasty) < HASTY_MIN_SHARE * len(waits)):
         return 0
     return len(hasty) if median(hasty) < FACTORY_DELAY_US else 0
 
@@ -228,9 +228,9 @@ def _questions_into_acks(case: Case) -> int:
     spoilt = [wait.stamp - 1000 * wait.us for wait in case.waits(WINDOW_S) if wait.is_spoilt]
     if len(spoilt) < INCIDENTS_MIN:
         return 0
-    writes = sorted(stamp for cycle in case.report.cycles for stamp in cycle.stamps
+    writes = sorted(stamp for cycle in case.cycles for stamp in cycle.stamps
                     if cycle.instruction == Instruction.WRITE and not _acknowledges(case, cycle))
-    asked = [stamp for cycle in case.report.cycles if cycle.instruction not in WRITES
+    asked = [stamp for cycle in case.cycles if cycle.instruction not in WRITES
              for stamp in cycle.stamps]
     times = sum(_is_after(writes, stamp) for stamp in spoilt)
     usual = sum(_is_after(writes, stamp) for stamp in asked)
@@ -239,7 +239,7 @@ def _questions_into_acks(case: Case) -> int:
 
 
 def _acknowledges(case: Case, cycle: Cycle) -> bool:
-    return any(number not in case.devices or case.devices[number].acks is not None
+    return any(number not in case.by_id or case.by_id[number].acks is not None
                for number in cycle.ids)
 
 
@@ -258,7 +258,7 @@ def _repeats_into_answers(case: Case) -> list[Incident[ev.Again]]:
     if not case.count(ev.TOO_LONG) or not ran_into_answers(case):
         return []
     longest: dict[int, float] = {}
-    for cycle in case.report.cycles:
+    for cycle in case.cycles:
         within = 1.2 * answer_ns(cycle, case.report.baud) + REPEAT_WITHIN_NS
         longest[cycle.instruction] = max(within, longest.get(cycle.instruction, 0.0))
     return [one for one in case.incidents(ev.REPEATED)
@@ -296,7 +296,7 @@ def late_answers(case: Case) -> Claims:
             first[one.device] += 1
         before = one.stamp
     for number, count in [(fatal.device, 1)] if fatal else first.most_common(1):
-        device = case.devices.get(number)
+        device = case.by_id.get(number)
         if not fatal and (count < INCIDENTS_MIN or (device is not None and (
                 device.window.not_served >= count
                 or count < LATE_MIN_SHARE * device.window.asked))):
@@ -315,14 +315,14 @@ def late_answers(case: Case) -> Claims:
                         'or lower its Return Delay Time',
                         {'late answers': count, 'waits': f'{median(known) / 1000:.1f} ms'
                             if known else 'unknown', **({'also': all_ids(also)} if also else {})},
-                        covers=tuple(case.devices), device=number)
+                        covers=tuple(case.by_id), device=number)
 
 
 def _is_cut_short(case: Case) -> bool:
     """Tell whether questions came as no wait for an answer ends, so that none was given up."""
     waits = [one.us for one in case.waits(WINDOW_S) if not one.is_spoilt]
     return bool(waits) and median(waits) < (
-        FACTORY_DELAY_US if case.report.has_sides else NO_WAIT_US)
+        FACTORY_DELAY_US if case.has_sides else NO_WAIT_US)
 
 
 @Rule(needs_incident=(ev.WRONG_SIZE,),
@@ -353,16 +353,16 @@ def latency_timer(case: Case) -> Claims:
 
     Do: set the latency timer of the master's adapter to 1 ms.
     """
-    answers = [answer_ns(cycle, case.report.baud) for cycle in case.report.cycles]
+    answers = [answer_ns(cycle, case.report.baud) for cycle in case.cycles]
     answered = sum(len(cycle.stamps) - bisect_right(cycle.stamps, case.now - NS_PER_S)
-                   for cycle, answer in zip(case.report.cycles, answers, strict=True) if answer)
+                   for cycle, answer in zip(case.cycles, answers, strict=True) if answer)
     if answered > LATENCY_TIMER_MAX_PER_S + 1:     # before all is sorted: it is a fast bus
         return
     if case.report.cycle is not None and case.report.cycle.asleep > case.report.cycle.device:
         return                                 # when the answers came is unknown
     # In one chunk a write comes first: a question would have had to wait for its answer.
     stamps = sorted((stamp, answers[number], number)
-                    for number, cycle in enumerate(case.report.cycles)
+                    for number, cycle in enumerate(case.cycles)
                     for stamp in cycle.stamps if stamp > case.now - NS_PER_S)
     is_coarse = case.blur_ms > RESOLVED_MS
     gaps = [((number, following), two - one, answer)
@@ -376,9 +376,9 @@ def latency_timer(case: Case) -> Claims:
     if is_coarse and all(
             abs(gap - ADAPTER_GRID_NS) < ADAPTER_GRID_NS // 1000 for _, gap in latent):
         return
-    if case.report.has_sides and not any(
+    if case.has_sides and not any(
             known is not None and known.p50 > LATENCY_TIMER_MS[0] / 2
-            for one in case.report.devices for known in [one.latency.window]):
+            for one in case.devices for known in [one.latency.window]):
         return                                 # the answers were there long before
     if latent and sum(abs(gap - HZ_60_NS) < HZ_60_NS // 100 for _, gap in latent) \
             >= HZ_60_MIN_SHARE * len(latent):
@@ -413,7 +413,7 @@ def bus_too_slow(case: Case) -> Claims:
         per_cycle = '' if steady is None else \
             f', {got / seconds * steady.period / NS_PER_S:.0f} bytes per cycle'
         harm = case.damage or any(device.window.missed and not device.missed_in_a_row
-                                  for device in case.report.devices)      # one is not just dead
+                                  for device in case.devices)      # one is not just dead
         yield Claim(f'the line is busy for more than {LOAD_BUSY_PERCENT:.0f} % of the '
                     f'time{per_cycle}: no room for a retry; raise the baud rate, or read less',
                     {'load (%)': f'{load:.0f}', 'bytes per second': f'{got / seconds:.0f}'},
@@ -429,7 +429,7 @@ def return_delay(case: Case) -> Claims:
 
     Do: write 0.
     """
-    for device in case.report.devices:
+    for device in case.devices:
         register = case.values[device.id].get('Return Delay Time')
         delay_ms = register.value.number * 1000 if register and register.value.number is not None \
             else None
@@ -524,11 +524,11 @@ def cycle_time(case: Case) -> Claims:
 
 def _faster_ways(case: Case, within_ns: float) -> Iterator[str]:
     """Yield what makes the exchanges of a cycle faster; what is asked less often is none."""
-    alike = Counter((one.address, one.length) for one in case.report.cycles
+    alike = Counter((one.address, one.length) for one in case.cycles
                     if one.instruction == Instruction.READ and 2 * one.missed < one.asked
                     and one.stamps[-1] - one.stamps[0] < within_ns * len(one.stamps))
     reads = max(alike.values(), default=0)
-    slow = max((one.latency.window.p50 for one in case.report.devices if one.latency.window),
+    slow = max((one.latency.window.p50 for one in case.devices if one.latency.window),
                default=0.0)
     if reads >= SINGLE_READS_MIN and '1.0' not in case.report.protocol:     # it has no Sync Read
         yield (f'{reads} servos are read one by one, which is most of each cycle: use one Sync '
