@@ -203,8 +203,7 @@ class Case:
     @cached_property
     def gone(self) -> list[int]:
         """Devices that were asked again and again and say nothing any more."""
-        return [device.id for device in self.devices
-                if is_gone(device, self.has_sides)]
+        return [device.id for device in self.devices if is_gone(device, self.has_sides)]
 
     @cached_property
     def values(self) -> dict[int, dict[str, Observed]]:
@@ -258,8 +257,8 @@ class Case:
 
     def waits(self, seconds: float) -> list[Wait]:
         """Return the vain waits of the master since so long ago."""
-        before = self.now - int(seconds * NS_PER_S)
-        return [wait for wait in self.report.waits if wait.stamp >= before]
+        since = self.stamp_ago(seconds)
+        return [wait for wait in self.report.waits if wait.stamp >= since]
 
 
 def key_of(cycle: Cycle) -> Key:
@@ -267,7 +266,7 @@ def key_of(cycle: Cycle) -> Key:
     return cycle.instruction, cycle.ids, cycle.address
 
 
-def is_gone(device: DeviceReport, has_sides: bool = False) -> bool:
+def is_gone(device: DeviceReport, has_sides: bool) -> bool:
     """Tell whether a device is asked and gives no sign of life for longer than a start takes."""
     silent = device.state == words.DISCONNECTED or (
         device.state in (words.EXPECTED, words.ASKED) and device.missed_in_a_row > 4)

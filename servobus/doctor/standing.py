@@ -113,9 +113,9 @@ def _is_same(one: Reading, other: Reading) -> bool:
 
 def _has_restarted(case: Case, claim: Claim, reading: Reading | None) -> bool:
     """Tell whether a device was told to restart after a reading."""
-    return reading is not None and ev.REBOOTED in case.incidents_by_kind and any(
+    return reading is not None and any(
         one.stamp > reading.stamp and one.device in _devices(claim)
-        for one in case.incidents_by_kind[ev.REBOOTED])
+        for one in case.incidents_by_kind.get(ev.REBOOTED, ()))
 
 
 def _devices(claim: Claim) -> tuple[int, ...]:

@@ -221,7 +221,8 @@ def range_wraps(case: Case, device: DeviceReport) -> Found | None:
 
     Do: calibrate with the joint in the middle of its range.
     """
-    goal, place = (case.values[device.id][name] for name in ('Goal Position', _PLACE))
+    values = case.values[device.id]
+    goal, place = values['Goal Position'], values[_PLACE]
     if goal.source != 'w' or goal.age_s > VALUE_FRESH_S or goal.field.size != GOAL_BYTES \
             or not is_watched(case, device, place):
         return None
@@ -249,10 +250,11 @@ def impossible_position(case: Case, device: DeviceReport) -> Found | None:
         return None
     if 0 <= raw <= AT_ZERO_MAX:
         return _doubt_zero(case, device)
+    if device.model.protocol != 'feetech' or raw < TURN_STEPS or not is_of_one_turn(place.field):
+        return None
     low, high, mode = (raw_value(case, device, name) for name in (
         'Min Position Limit', 'Max Position Limit', 'Operating Mode'))
-    if device.model.protocol != 'feetech' or raw < TURN_STEPS or mode \
-            or low is None or high is None or high <= low or not is_of_one_turn(place.field):
+    if low is None or high is None or high <= low or mode:
         return None
     steps = raw if raw < SIGN_BIT else SIGN_BIT - raw
     return Claim(f'its position is {steps:.0f}, and within its limits only 0 to '

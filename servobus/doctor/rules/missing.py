@@ -57,7 +57,7 @@ ADAPTER_HOLD_US = 20_000           # so long an adapter may hold an answer back 
 LONG_WAIT_MS = 50                  # a time-out that no sound servo and adapter needs
 ACKS_MISSED_LIMIT = 4              # as `missed_limit`
 GOAL_MOVES_STEPS = 20              # a goal that changes less may be held by friction
-STOPPED_MIN_S = 1.0                # standing still for so long means something
+STOPPED_MIN_S = 1.0                # two reports at the usual 2 Hz: one may be before it starts
 STILL_MIN_S = 2.5                  # the same where its torque was not read
 FOLLOW_WINDOW_S = 4.0              # samples of so long show whether it follows
 SPEED_MIN = 10                     # units of Goal Velocity; friction may hold less
@@ -90,11 +90,9 @@ def brown_out(case: Case) -> Claims:
     if len({one.device for one in together}) == 1:     # others waited for it, unasked
         together += [other for number, device in case.by_id.items()
                      if number != last.device and device.window.not_served and not device.alert
-                     and (_restart_proof(case, other := replace(last, device=number))
-                          or _voltage_dip(case, number))]
+                     and _supply_proof(case, other := replace(last, device=number))]
     ids = sorted({one.device for one in together})
-    proofs = [proof for one in together if (proof := _restart_proof(case, one) or
-                                            _voltage_dip(case, one.device))]
+    proofs = [proof for one in together if (proof := _supply_proof(case, one))]
     if len(ids) > 1 and proofs:
         yield Claim(f'{first_ids(ids, 2)} restarted together ({proofs[0]}): the supply failed; '
                     'check battery and cables, set up again',
@@ -117,11 +115,13 @@ def _was_with_all(case: Case, back: Incident[ev.SilentFor], ids: list[int]) -> b
         and not any(one.is_spoilt for one in waits) and len({one.device for one in waits}) > 1
 
 
-def _voltage_dip(case: Case, number: int) -> str:
+def _supply_proof(case: Case, back: Incident[ev.SilentFor]) -> str:
+    """Return what says that a device restarted or had too little voltage, '' if nothing does."""
+    number = back.device
     voltages = [one.voltage for one in case.samples.get(number, ()) if one.voltage]
-    if voltages and min(voltages) < DIP_MAX_SHARE * voltages[-1]:
-        return f'{number:03} measured {min(voltages):.1f} V before, {voltages[-1]:.1f} V now'
-    return ''
+    dip = f'{number:03} measured {min(voltages):.1f} V before, {voltages[-1]:.1f} V now' \
+        if voltages and min(voltages) < DIP_MAX_SHARE * voltages[-1] else ''
+    return _restart_proof(case, back) or dip
 
 
 @Rule(subject='bus', level=Level.ERROR, holds=False,
@@ -213,7 +213,13 @@ def sync_read_stops(case: Case) -> Claims:
 
     Do: repair this one first, or take it out of the list.
     """
-    return _claim_silent(case, True)
+    for number in () if _hurries(case) else case.gone:
+        after = _devices_after(case, number)
+        if after:
+            yield Claim(f'silent, and the Sync Read ends there: {first_ids(after, 2)} after it '
+                        'are never read; check its power and cable, or leave it out',
+                        {'not served': all_ids(after), **_wait_figures(case, number)},
+                        device=number)
 
 
 @Rule(level=Level.ERROR, holds=False,
@@ -227,7 +233,14 @@ def no_answer(case: Case) -> Claims:
 
     Do: check power, plug, ID, baud rate.
     """
-    yield from _claim_silent(case, False)
+    hurries = _hurries(case)
+    for number in case.gone:
+        if hurries:
+            yield Doubt('no answer in time, and others are late: raise the time-out, or check '
+                        'power and ID', number, f'let the program wait {LONG_WAIT_MS} ms for '
+                        f'{number:03}: if it answers then, its time-out was too short')
+        elif not _devices_after(case, number):
+            yield _no_answer_claim(case, number)
     yield from _claim_at_the_end(case)
     for device in case.devices:
         if device.state == words.EXPECTED and device.last_heard_s is None \
@@ -235,18 +248,10 @@ def no_answer(case: Case) -> Claims:
             yield Doubt(f'in {case.names.devices}, but the master never asks it', device.id)
 
 
-def _claim_silent(case: Case, blocking: bool) -> Claims:
-    hurries = _hurries(case)
-    for number in case.gone:
-        after = [device.id for device in case.devices
-                  if device.waiting_behind == number and is_waiting(device)]
-        if hurries:
-            yield from [] if blocking else [Doubt(
-                'no answer in time, and others are late: raise the time-out, or check power and '
-                'ID', number, f'let the program wait {LONG_WAIT_MS} ms for {number:03}: if it '
-                'answers then, its time-out was too short')]
-        elif bool(after) is blocking:
-            yield _claim_blocking(case, number, after) if after else _no_answer_claim(case, number)
+def _devices_after(case: Case, number: int) -> list[int]:
+    """Return the devices that get no turn in a group read, as this one says nothing."""
+    return [device.id for device in case.devices
+            if device.waiting_behind == number and is_waiting(device)]
 
 
 def _no_answer_claim(case: Case, number: int) -> Claim:
@@ -261,12 +266,6 @@ def _no_answer_claim(case: Case, number: int) -> Claim:
     return Claim(f'no answer, {since}{others}: check its power, {what}',
                  {'requests without an answer': device.missed_in_a_row,
                   **_wait_figures(case, number)}, device=number)
-
-
-def _claim_blocking(case: Case, number: int, after: list[int]) -> Claim:
-    return Claim(f'silent, and the Sync Read ends there: {first_ids(after, 2)} after it are '
-                         'never read; check its power and cable, or leave it out',
-                 {'not served': all_ids(after), **_wait_figures(case, number)}, device=number)
 
 
 def _wait_figures(case: Case, number: int) -> dict[str, str]:
@@ -455,7 +454,7 @@ def _tick_jumped(before: Sample, after: Sample) -> bool:
 
 # --- a joint and its goal ------------------------------------------------------------------------
 
-@Rule(each_device=True,
+@Rule(needs_registers={'Present Position'},
       symptoms={'joint at rest'})
 def torque_off(case: Case, device: DeviceReport) -> Found | None:
     """
@@ -467,9 +466,9 @@ def torque_off(case: Case, device: DeviceReport) -> Found | None:
     Do: switch the torque on; if it is on, the joint is blocked or its motor has no supply.
     """
     samples = _since_it_moved(_recent_samples(case, device.id))
-    place = case.values[device.id].get('Present Position')
-    if place is None or place.source != 'r' or place.age_s > STOPPED_MIN_S \
-            or device.alert or not _does_not_follow(samples):
+    place = case.values[device.id]['Present Position']
+    if place.source != 'r' or place.age_s > STOPPED_MIN_S or device.alert \
+            or not _does_not_follow(samples):
         return None                    # or its error says why
     torque, goal = map(case.values[device.id].get, ('Torque Enable', 'Goal Position'))
     if torque is not None and not torque.value.raw and (
@@ -586,10 +585,11 @@ def ping_only(case: Case, device: DeviceReport) -> Found | None:
 
     Do: write 2 to Status Return Level, 1 for reads alone.
     """
+    if not _is_ping_only(case, device):
+        return None
     return Claim('answers Pings only: set its Status Return Level to 2, or 1 for '
                  'reads; if it no longer answers a Ping, check its power and cable',
-                 {'missed': f'{device.window.missed} of {device.window.asked}'}) \
-        if _is_ping_only(case, device) else None
+                 {'missed': f'{device.window.missed} of {device.window.asked}'})
 
 
 def _is_ping_only(case: Case, device: DeviceReport) -> bool:

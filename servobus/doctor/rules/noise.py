@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import lru_cache
+from itertools import takewhile
 import re
 
 from msg_defs.dxl1_instruction import DIALECTS
@@ -142,11 +143,11 @@ def _load_percent(case: Case) -> float:
 
 def likely_rate(noise: bytes, baud: int) -> int | None:
     """Return the Dynamixel rate at which headers look like these bytes; None if unsure."""
-    counts = {rate: noise.count(look) for rate, look in _headers_at_rates(baud).items()}
-    best = max(counts, key=lambda rate: (counts[rate], len(_headers_at_rates(baud)[rate])))
-    rivals = [rate for rate in counts if counts[rate] == counts[best]
-              and len(_headers_at_rates(baud)[rate]) == len(_headers_at_rates(baud)[best])]
-    return best if counts[best] >= RATE_MIN_HEADERS and len(rivals) == 1 else None
+    ranks = {rate: (noise.count(look), len(look))
+             for rate, look in _headers_at_rates(baud).items()}
+    best = max(ranks.values())
+    rates = [rate for rate, rank in ranks.items() if rank == best]
+    return rates[0] if best[0] >= RATE_MIN_HEADERS and len(rates) == 1 else None
 
 
 @lru_cache(maxsize=16)
@@ -160,10 +161,8 @@ def _headers_at_rates(baud: int) -> dict[int, bytes]:
 def _header_at(ratio: float) -> bytes:
     """Return the bytes that are the same for every ID after the header."""
     looks = [heard_at(HEADER + bytes([number, 4, 0]), ratio) for number in (1, 0x55, 0xFE)]
-    same = 0
-    while all(same < len(look) and look[same] == looks[0][same] for look in looks):
-        same += 1
-    return looks[0][:same]
+    same = takewhile(lambda column: len({*column}) == 1, zip(*looks, strict=False))
+    return bytes(column[0] for column in same)
 
 
 @Rule(subject='bus', level=Level.ERROR,
@@ -428,9 +427,12 @@ def _says_too_much(case: Case, device: DeviceReport) -> bool:
     overlong, asked = device.window.overlong_replies, device.window.asked
     if overlong < max(OVERLONG_MIN_ANSWERS, OVERLONG_MIN_SHARE * asked) or case.count(ev.LATE):
         return False
-    others = [one.window for one in case.devices
-              if one is not device and one.window.answers >= overlong]
-    return bool(others) and all(10 * one.overlong_replies <= overlong for one in others)
+    others = _others_that_answer(case, device, overlong)
+    return bool(others) and all(10 * one.window.overlong_replies <= overlong for one in others)
+
+
+def _others_that_answer(case: Case, device: DeviceReport, times: int) -> list[DeviceReport]:
+    return [one for one in case.devices if one is not device and one.window.answers >= times]
 
 
 def _alone_answers_again(case: Case, device: DeviceReport) -> bool:
@@ -444,8 +446,7 @@ def _alone_answers_again(case: Case, device: DeviceReport) -> bool:
     again = case.count(ev.ANSWERED_AGAIN, device)
     if not again or case.count(ev.PROTOCOL_1, device):
         return False
-    others = [one for one in case.devices
-              if one is not device and one.window.answers >= again]
+    others = _others_that_answer(case, device, again)
     return len(others) > 1 and again == case.count(ev.ANSWERED_AGAIN) \
         and again >= AGAIN_MIN_SHARE * case.damage and not any(one.window.spoilt for one in others)
 
@@ -481,37 +482,32 @@ def turnaround(case: Case) -> Claims:
 
     Do: raise Return Delay Time by 2 to 4 us.
     """
-    touched = [device for device in case.devices if _first_bytes(device)]
-    hit = [device for device in touched if _first_bytes(device) > INCIDENTS_MIN
-           and _first_bytes(device) > TURNAROUND_MIN_SHARE * device.window.answers
-           and _first_bytes(device) > FIRST_BYTE_BY_CHANCE * device.window.spoilt]
-    total = sum(_first_bytes(one) for one in touched)
-    lost = sum(device.window.first_byte_lost for device in touched)
-    if (total - lost <= FIRST_BYTE_BY_CHANCE * case.damage and lost <= case.damage) \
+    # How many answers of each were whole but for their first byte.
+    first = {one.id: one.window.repaired + one.window.first_byte_lost for one in case.devices
+             if one.window.repaired or one.window.first_byte_lost}
+    if not first:
+        return
+    hit = [device for device in case.devices if first.get(device.id, 0) > max(
+        INCIDENTS_MIN, TURNAROUND_MIN_SHARE * device.window.answers,
+        FIRST_BYTE_BY_CHANCE * device.window.spoilt)]
+    total = sum(first.values())
+    lost = sum(case.by_id[number].window.first_byte_lost for number in first)
+    if not hit or (total - lost <= FIRST_BYTE_BY_CHANCE * case.damage and lost <= case.damage) \
             or is_overlaid(case):
         return
-    if hit and len(touched) > 2 and max(map(_first_bytes, touched)) < ONE_DEVICE_MIN_SHARE * total:
-        hit = touched
-        first = sum(_first_bytes(device) for device in hit)
-        stray = case.increase_of('glitches')
-        answers = sum(_answers_heard(device) for device in hit)
-        yield Claim(f'first byte of {share(first, answers)} of the answers damaged, '
-                    f'{len(hit)} devices: the line switches too late; raise Return Delay '
+    if len(first) > 2 and max(first.values()) < ONE_DEVICE_MIN_SHARE * total:
+        answers = sum(_answers_heard(case.by_id[number]) for number in first)
+        yield Claim(f'first byte of {share(total, answers)} of the answers damaged, '
+                    f'{len(first)} devices: the line switches too late; raise Return Delay '
                     'Time or correct the driver enable',
-                    {'answers': first,
-                     'packets with a stray byte': stray,
-                     'devices': all_ids([one.id for one in hit])})
+                    {'answers': total,
+                     'packets with a stray byte': case.increase_of('glitches'),
+                     'devices': all_ids(first)})
         return
     for device in hit:
-        first = _first_bytes(device)
-        yield Claim(f'first byte of {share(first, _answers_heard(device))} of its answers '
-                    'damaged: it answers before the line switches; raise its Return Delay Time by '
-                    'a step or two', {'answers': first}, device=device.id)
-
-
-def _first_bytes(device: DeviceReport) -> int:
-    """Return how many answers were whole but for their first byte."""
-    return device.window.repaired + device.window.first_byte_lost
+        yield Claim(f'first byte of {share(first[device.id], _answers_heard(device))} of its '
+                    'answers damaged: it answers before the line switches; raise its Return Delay '
+                    'Time by a step or two', {'answers': first[device.id]}, device=device.id)
 
 
 def _answers_heard(device: DeviceReport) -> int:
@@ -545,14 +541,14 @@ def source_lost(case: Case) -> Iterator[Doubt]:
 
 def _noise_claims(case: Case) -> Claims:
     packets = case.packets
-    if case.damage < NOISE_MIN_PACKETS or case.damage < NOISE_MIN_SHARE * packets \
+    if case.damage < max(NOISE_MIN_PACKETS, NOISE_MIN_SHARE * packets) \
             or case.damage_s < DAMAGE_ONSET_S:
         return
     hit = [device.id for device in case.devices if device.window.spoilt]
     asked = _asked_damaged(case)
-    if asked < BOTH_WAYS_MIN_SHARE * case.damage and _most_hit(case) is not None:
-        return
     both_ways = asked >= BOTH_WAYS_MIN_SHARE * case.damage
+    if not both_ways and _most_hit(case) is not None:
+        return
     if is_collision(case) if both_ways else may_overlap(case):
         yield Doubt('packets overlap: two programs, two devices with one ID, or a master '
                     'that does not wait for answers', step=f'{STOP_OTHERS}: if packets still '
@@ -580,11 +576,8 @@ def _asked_damaged(case: Case) -> int:
 
 def _most_hit(case: Case) -> DeviceReport | None:
     """Return the device that has most of all spoilt answers, if there is one."""
-    worst = max(case.devices, key=lambda device: device.window.spoilt, default=None)
-    if worst is None or worst.window.spoilt < INCIDENTS_MIN \
-            or worst.window.spoilt < ONE_DEVICE_MIN_SHARE * case.spoilt:
-        return None
-    return worst
+    least = max(INCIDENTS_MIN, ONE_DEVICE_MIN_SHARE * case.spoilt)
+    return next((device for device in case.devices if device.window.spoilt >= least), None)
 
 
 @Rule(onset_s=DAMAGE_ONSET_S,
@@ -651,9 +644,8 @@ def stray_bytes(case: Case) -> Claims:
     Do: add bias resistors.
     """
     stray = case.increase_of('glitches')
-    packets = case.packets
-    if stray >= STRAY_MIN_PACKETS and stray > STRAY_MIN_SHARE * packets:
-        yield Claim(f'one or two stray bytes before {share(stray, packets)} of the packets: '
+    if stray >= STRAY_MIN_PACKETS and stray > STRAY_MIN_SHARE * case.packets:
+        yield Claim(f'one or two stray bytes before {share(stray, case.packets)} of the packets: '
                     'driver enable switches late or the line floats; add bias resistors',
                     {'packets': stray})
     last, spoilt = case.last_wait, sum(one.is_spoilt for one in case.report.waits)

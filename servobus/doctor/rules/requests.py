@@ -65,14 +65,13 @@ POLLED_MIN_S = 3.0                 # by then each is written that will be, and m
 ACKS_MISSING_MIN = 3               # as the decoder learns that writes are not acknowledged
 ACKS_ONSET_S = 1.0                 # acknowledgements that get lost come again by then
 ANSWERS_OTHERWISE_S = 2.0          # an answer to something else, so lately: it is there
-STOPPED_MIN_S = 1.2
+STOPPED_MIN_S = 1.2                # two reports at the usual 2 Hz, and what chunks blur
 STOPPED_WARN_S = 10.0              # a shorter pause may be meant
 WORKED_MIN_S = 2.5                 # a program that ran so long has stopped; a command is done
 TWIN_MIN_ANSWERS = 15              # the shares of fewer differ by chance
 TWIN_MIN_FACTOR = 1.5              # two answer twice as often as one
 NO_IDS = (0xFD, 0xFF)
 _NO_ID = ', which no device can have (0 to 252): correct the ID in its program'
-_NO_NAMES = 'so registers have no names and some causes cannot be found'
 SENT_MIN_BYTES = 30                # three packets
 SCAN_MIN_PINGS = 15                # broadcast Pings in 10 s: each needs 0.8 s
 SCAN_MIN_SHARE = 0.7               # share of the instructions
@@ -527,34 +526,21 @@ def models(case: Case) -> Claims:
 def _what_is_unknown(device: DeviceReport, names: Names) -> str:
     if device.model_number is not None:
         return f'model {device.model_number} has no model file: add one to {names.folders}'
-    return (f'model not known, {_registers(device, _NO_NAMES)}; add ID:MODEL to {names.devices}, '
-            'or let your program ping the servos')
-
-
-def _registers(device: DeviceReport, none: str) -> str:
     model = device.model
-    if model is UNKNOWN:
-        return none
-    shared = f'that {model.name} share' if ' and ' in model.name \
-        else f'as in {model.name}'
-    return f'registers {shared}, by what the program uses'
+    registers = 'so registers have no names and some causes cannot be found' \
+        if model is UNKNOWN else f'registers that {model.name} share, by what the program uses' \
+        if ' and ' in model.name else f'registers as in {model.name}, by what the program uses'
+    return f'model not known, {registers}; add ID:MODEL to {names.devices}, or let your ' \
+        'program ping the servos'
 
 
 def with_models_named(report: BusReport, names: Names) -> BusReport:
     """Return a report whose messages say which models are not known, where all else is well."""
     return report._replace(
         message=f'{report.message}; not all models known: set {names.devices}',
-        devices=tuple(one._replace(message=f'{one.message}; {_remedy(one, names)}')
+        devices=tuple(one._replace(message=f'{one.message}; {_what_is_unknown(one, names)}')
                       if one.model.number is None and one.state == CONNECTED
                       and one.level is Level.OK else one for one in report.devices))
-
-
-def _remedy(device: DeviceReport, names: Names) -> str:
-    if device.model_number is not None:
-        return f'no model file, so its registers have no names: add one to {names.folders}'
-    registers = _registers(device, 'so its registers have no names')
-    return (f"model unknown, {registers}: add '{device.id}:MODEL' to {names.devices}, or let the "
-            'master read Model Number')
 
 
 @Rule(each_device=True,

@@ -13,6 +13,7 @@ from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterator
 from itertools import pairwise
+from math import inf
 from operator import attrgetter
 from statistics import median
 
@@ -24,6 +25,7 @@ from msg_defs.units import NS_PER_MS
 from msg_defs.units import NS_PER_S
 from servobus.bus import evidence as ev
 from servobus.bus.report import Cycle
+from servobus.bus.report import D
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import Incident
 from servobus.bus.report import STOLE_REPLIES
@@ -34,10 +36,11 @@ from servobus.doctor.facts import is_collision
 from servobus.doctor.facts import is_overlaid
 from servobus.doctor.facts import ran_into_answers
 from servobus.doctor.rhythm import answer_ns
+from servobus.doctor.rhythm import answered_within_ns
 from servobus.doctor.rhythm import is_independent
 from servobus.doctor.rhythm import is_locked
 from servobus.doctor.rhythm import is_multiple
-from servobus.doctor.rhythm import REPEAT_WITHIN_NS
+from servobus.doctor.rhythm import percentiles
 from servobus.doctor.rhythm import Rhythm
 from servobus.doctor.rhythm import WRITES
 from servobus.doctor.rule import all_ids
@@ -55,11 +58,11 @@ from servobus.doctor.thresholds import WINDOW_S
 
 SAME_LATENESS_NS = 3 * NS_PER_MS    # late answers closer than this belong to one
 LOAD_BUSY_PERCENT = 75.0           # wire time: the rest leaves no room for a retry
-LOAD_WINDOW_S = 3.0
+LOAD_WINDOW_S = 3.0                # a few cycles, even of a slow master
 BLUR_FACTOR = 3                    # times the resolution: what is narrower is not a finding
 RETURN_DELAY_MS = (0.4, 0.7)       # a Return Delay Time of 500 us, as measured
 RETURN_DELAY_SPREAD_MS = 0.15      # a delay that is set varies less than one of an adapter
-RETURN_DELAY_MIN_ANSWERS = 5
+RETURN_DELAY_MIN_ANSWERS = 5       # the spread of fewer is small by chance
 JITTER_MIN_SPREAD = 0.5            # relative to the cycle
 JITTER_ONSET_S = 3.0               # a computer that is busy for a moment is not a finding
 LATENCY_TIMER_MS = (15.0, 18.5)    # a latency timer of 16 ms, and what its host adds
@@ -116,30 +119,30 @@ def two_masters(case: Case) -> Claims:
     if case.has_sides and harm < INCIDENTS_MIN:
         return                                 # one program with two timers, or with a lock
     pair = _independent_rhythms(case)
-    if pair is None:
-        for clocks in case.clocks:
-            fast, slow = sorted(timer.period / NS_PER_MS for timer in clocks.timers)
-            words = f'{_spell_rhythm(clocks.cycle, fast * NS_PER_MS)} and every {slow:.0f} ms'
-            if is_collision(case):
-                yield _claim_two_masters(case, words)
-            else:
-                yield Doubt(f'{words}: two programs, or one with two timers')
-            return
+    if pair is not None:
+        loops = [_spell_rhythm(one.cycle, one.base) for one in pair]
+    elif case.clocks:
+        fast, slow = sorted(timer.period for timer in case.clocks[0].timers)
+        loops = [_spell_rhythm(case.clocks[0].cycle, fast), f'every {slow / NS_PER_MS:.0f} ms']
     else:
-        one, other = (_spell_rhythm(rhythm.cycle, rhythm.base) for rhythm in pair)
-        yield _claim_two_masters(case, f'{one} and {other}')
+        return
+    words = ' and '.join(loops)
+    if pair is None and not is_collision(case):
+        yield Doubt(f'{words}: two programs, or one with two timers')
+        return
+    yield Claim(f'{words}: two programs, or two threads without a lock; let only one ask',
+                {'damaged packets': case.damage})
 
 
 def _independent_rhythms(case: Case) -> tuple[Rhythm, Rhythm] | None:
     """Return two instructions that keep time apart from each other."""
     ordered = sorted(case.rhythms, key=attrgetter('base'))
     least = max(BLUR_FACTOR * case.blur_ms, 1.0) * NS_PER_MS
-    if not ordered or (not is_overlaid(case) and (
-            ordered[0].base <= least or not ordered[0].is_steady)):
+    steady = [one for one in ordered if one.is_steady]
+    if not steady or steady[0].base <= least \
+            or (steady[0] is not ordered[0] and not is_overlaid(case)):
         return None
-    one, *others = [one for one in ordered if one.is_steady] or ordered[:1]
-    if one.base <= least or not one.is_steady:
-        return None
+    one, *others = steady
     collide = is_collision(case)               # as one program's questions never do
     for other in others:
         differs = collide and not is_locked(other, one)
@@ -148,11 +151,6 @@ def _independent_rhythms(case: Case) -> tuple[Rhythm, Rhythm] | None:
                 and is_independent(one, other) and is_independent(other, one)):
             return one, other
     return None
-
-
-def _claim_two_masters(case: Case, words: str) -> Claim:
-    return Claim(f'{words}: two programs, or two threads without a lock; let only one ask',
-                 {'damaged packets': case.damage})
 
 
 def _spell_rhythm(cycle: Cycle, period: float) -> str:
@@ -187,12 +185,13 @@ def impatient_master(case: Case) -> Claims:
             Claim(f'{words}: its time-out is shorter than the answers take; raise it',
                   {'repeated': again.total()})
         return
-    if _gives_up_at_once(case) and case.damage >= INCIDENTS_MIN \
+    hasty = _gives_up_at_once(case)
+    if hasty and case.damage >= INCIDENTS_MIN \
             and any(case.recent_counts(device, WAITS_WINDOW_S).answers
                     for device in case.devices):
         yield Claim('the master does not wait for answers and sends during them: it gives '
                     f'up within {FACTORY_DELAY_US} us, before a servo with factory settings '
-                    'answers; raise its time-out', {'given up at once': _gives_up_at_once(case)})
+                    'answers; raise its time-out', {'given up at once': hasty})
         return
     thrown = sum(one.detail.instruction not in WRITES for one in case.incidents(ev.THROWN_AWAY))
     if thrown >= THROWN_AWAY_MIN:
@@ -259,7 +258,7 @@ def _repeats_into_answers(case: Case) -> list[Incident[ev.Again]]:
         return []
     longest: dict[int, float] = {}
     for cycle in case.cycles:
-        within = 1.2 * answer_ns(cycle, case.report.baud) + REPEAT_WITHIN_NS
+        within = answered_within_ns(cycle, case.report.baud)
         longest[cycle.instruction] = max(within, longest.get(cycle.instruction, 0.0))
     return [one for one in case.incidents(ev.REPEATED)
             if 1000 * one.detail.us < longest.get(one.detail.instruction, 0.0)]
@@ -272,12 +271,15 @@ def _hidden_repeats(case: Case) -> list[Incident[ev.Code]]:
     Behind a damaged instruction they would be its own answers.
     """
     again = case.incidents(ev.ANSWERED_AGAIN)
-    first = again[:1] + [one for before, one in pairwise(again)
-                         if one.stamp - before.stamp > SAME_LATENESS_NS]
-    if len({one.device for one in again}) < 2 \
-            or len(first) < 2 * case.count(ev.DAMAGED_INSTRUCTION):
-        return []
-    return first
+    first = _first_of_groups(again)
+    return first if len({one.device for one in again}) > 1 \
+        and len(first) >= 2 * case.count(ev.DAMAGED_INSTRUCTION) else []
+
+
+def _first_of_groups(incidents: list[Incident[D]]) -> list[Incident[D]]:
+    """Return the first of each group of incidents that are close to one another."""
+    return incidents[:1] + [one for before, one in pairwise(incidents)
+                            if one.stamp - before.stamp > SAME_LATENESS_NS]
 
 
 @Rule(symptoms={'late answers'},
@@ -288,13 +290,8 @@ def late_answers(case: Case) -> Claims:
 
     Do: lower Return Delay Time, or raise the time-out.
     """
-    late, fatal = case.incidents(ev.LATE), fatal_late_answer(case)
-    first: Counter[int] = Counter()
-    before = 0
-    for one in late:
-        if one.stamp - before > SAME_LATENESS_NS:
-            first[one.device] += 1
-        before = one.stamp
+    fatal = fatal_late_answer(case)
+    first = Counter(one.device for one in _first_of_groups(case.incidents(ev.LATE)))
     for number, count in [(fatal.device, 1)] if fatal else first.most_common(1):
         device = case.by_id.get(number)
         if not fatal and (count < INCIDENTS_MIN or (device is not None and (
@@ -385,13 +382,11 @@ def latency_timer(case: Case) -> Claims:
         yield Doubt('instructions come every 16.7 ms: a loop at 60 Hz, or a latency timer '
                     'of 16 ms in the adapter of the master')
         return
-    slow = [kinds for kinds, _ in latent]
-    if len(slow) < LATENCY_TIMER_MIN_GAPS or len(slow) < LATENCY_TIMER_MIN_SHARE * len(gaps):
-        return
-    if any(number != following for number, following in slow):
+    if len(latent) >= max(LATENCY_TIMER_MIN_GAPS, LATENCY_TIMER_MIN_SHARE * len(gaps)) \
+            and any(number != following for (number, following), _ in latent):
         yield Claim('most instructions come 16 ms after the previous answer: the latency '
                     "timer of the master's adapter; set it to 1 ms",
-                    {'16 ms later': f'{len(slow)} of {len(gaps)}'})
+                    {'16 ms later': f'{len(latent)} of {len(gaps)}'})
 
 
 @Rule(subject='bus',
@@ -420,43 +415,34 @@ def bus_too_slow(case: Case) -> Claims:
                     Level.WARN if harm else Level.OK)
 
 
-@Rule(level=Level.OK,
+@Rule(level=Level.OK, each_device=True,
       symptoms={'slow answers'},
       accounts_for={'slow cycle'})
-def return_delay(case: Case) -> Claims:
+def return_delay(case: Case, device: DeviceReport) -> Found | None:
     """
     Return Delay Time is 0.4 ms or more.
 
     Do: write 0.
     """
-    for device in case.devices:
-        register = case.values[device.id].get('Return Delay Time')
-        delay_ms = register.value.number * 1000 if register and register.value.number is not None \
-            else None
-        measured = _measured_ms(device)
-        low, high = RETURN_DELAY_MS
-        if (delay_ms or 0.0) >= low or (
-                delay_ms is None and measured is not None and low <= measured <= high):
-            yield _delay_claim(case, device, delay_ms, measured)
-
-
-def _measured_ms(device: DeviceReport) -> float | None:
-    summary = device.latency.window or device.latency.total
-    if summary is None or summary.count < RETURN_DELAY_MIN_ANSWERS \
-            or summary.p95 - summary.p50 > RETURN_DELAY_SPREAD_MS:
+    register = case.values[device.id].get('Return Delay Time')
+    low, high = RETURN_DELAY_MS
+    delay_ms, how, source = _measured_ms(device), 'reply latency', 'measured'
+    if register is not None and register.value.number is not None:
+        delay_ms, how, source = 1000 * register.value.number, 'Return Delay Time', 'yes'
+        high = inf
+    if not low <= delay_ms <= high:
         return None
-    return summary.p50
-
-
-def _delay_claim(case: Case, device: DeviceReport, delay_ms: float | None,
-                 measured: float | None) -> Claim:
-    known = delay_ms if delay_ms is not None else measured or 0.0
-    how = 'Return Delay Time' if delay_ms is not None else 'reply latency'
     rate = device.totals.reads / case.heard_s if case.heard_s > 0 else 0.0
-    return Claim(f'waits {known:.1f} ms before each answer ({how}): write 0 to Return '
-                 f'Delay Time, which saves {known * rate:.0f} ms of bus time per second',
-                 {'delay (ms)': f'{known:.2f}', 'read': 'yes' if delay_ms else 'measured'},
-                 device=device.id)
+    return Claim(f'waits {delay_ms:.1f} ms before each answer ({how}): write 0 to Return '
+                 f'Delay Time, which saves {delay_ms * rate:.0f} ms of bus time per second',
+                 {'delay (ms)': f'{delay_ms:.2f}', 'read': source})
+
+
+def _measured_ms(device: DeviceReport) -> float:
+    """Return how long it waits before each answer, 0 where that varies."""
+    summary = device.latency.window or device.latency.total
+    return 0.0 if summary is None or summary.count < RETURN_DELAY_MIN_ANSWERS \
+        or summary.p95 - summary.p50 > RETURN_DELAY_SPREAD_MS else summary.p50
 
 
 # --- the cycle of the master ---------------------------------------------------------------------
@@ -478,9 +464,7 @@ def jitter(case: Case) -> Claims:
     if min(one.spread for one in often) <= JITTER_MIN_SPREAD:
         return
     best = min(often, key=attrgetter('jitter'))
-    ordered = sorted(best.periods)
-    edge = len(ordered) // 10
-    low, high = ordered[edge] / NS_PER_MS, ordered[-1 - edge] / NS_PER_MS
+    low, _, high = (period / NS_PER_MS for period in percentiles(best.periods))
     if best.jitter > JITTER_MIN_SPREAD and high - low > BLUR_FACTOR * case.blur_ms \
             and (key_of(best.cycle) in case.steady or best.is_paced):
         yield Claim("the master's cycle is no longer regular: its computer is busy, or its "
