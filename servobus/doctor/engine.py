@@ -135,7 +135,7 @@ def _finding(one: StandingClaim) -> Finding:
 def found_by(rule: Rule, case: Case) -> list[Found]:
     """Return what a rule finds, where what it needs is known."""
     try:
-        if not (rule.each_device or rule.needs_incident or rule.needs_registers):
+        if not rule.each_device:
             return [*rule.check(case)]
         return [found._replace(device=device.id) for device in _devices_to_check(rule, case)
                 if (found := rule.check(case, device)) is not None]

@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from collections.abc import Set
 from dataclasses import dataclass
 from dataclasses import replace
+from inspect import signature
 from math import log
 from typing import Any
 from typing import NamedTuple
@@ -89,7 +90,6 @@ class Rule:
     level: Level = Level.WARN
     onset_s: float = 0.0           # claimed without a break for so long, before it is reported
     holds: bool = True             # lasts some seconds longer than its evidence; a state does not
-    each_device: bool = False
     # What it is asked of: all, or where there are such incidents, values of these registers,
     # models of these protocols, a model that was named: the registers alone may be known by what
     # the program uses.
@@ -97,14 +97,16 @@ class Rule:
     needs_registers: Set[str] = frozenset()
     protocols: tuple[str, ...] = ()
     needs_model: bool = False
-    name: str = ''                 # as in the key finding.<name>
-    # From a case to what is found; with `each_device`, `needs_incident` or `needs_registers` from
-    # a case and a device to what is found of it, or None. Set by the decorator.
+    # Set by the decorator. name: as in the key finding.<name>; check: from a case to what is
+    # found, or from a case and a device to what is found of that, or None.
+    name: str = ''
     check: Callable[..., Any] = iter
+    each_device: bool = False
 
     def __call__(self, check: Callable[..., Any]) -> Rule:
         """Return the rule with its check."""
-        return replace(self, name=check.__name__, check=check)
+        return replace(self, name=check.__name__, check=check,
+                       each_device=len(signature(check).parameters) > 1)
 
 
 def share(part: float, whole: float) -> str:

@@ -63,7 +63,7 @@ _HEAT = 'Present Temperature', 'Temperature Limit'
 _ERRORS = ('Hardware Error Status', 'Error Code')
 
 
-@Rule(level=Level.ERROR, holds=False, each_device=True,
+@Rule(level=Level.ERROR, holds=False,
       symptoms={'error bits'})
 def hardware_error(_: Case, device: DeviceReport) -> Found | None:
     """
@@ -193,13 +193,13 @@ def voltage(case: Case) -> Claims:
         elif error:
             found.append(error._replace(figures={'voltage (V)': f'{volts:.1f}'}))
     yield from found
+    ids = tuple([one.device for one in found if one.device is not None])
     if len(found) >= SUPPLY_MIN_DEVICES:
         yield Claim(f'{len(found)} devices near or beyond a voltage limit: the supply is '
                     'the cause; measure it, charge the battery, check cable gauge',
-                    {'devices': all_ids([one.device for one in found if one.device])},
+                    {'devices': all_ids(ids)},
                     _level(any(one.level is not Level.WARN for one in found)),
-                    covers=tuple(one.device for one in found if one.device is not None),
-                    rests_on=SUPPLY)
+                    covers=ids, rests_on=SUPPLY)
     if unknown:
         yield Doubt(f'{first_ids(unknown, 3)}: voltage limits never read')
     if pinged:

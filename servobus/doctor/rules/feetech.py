@@ -52,7 +52,7 @@ def baud_code(case: Case, device: DeviceReport) -> Found | None:
                  {'code': code})
 
 
-@Rule(each_device=True, protocols=FAMILY_1,
+@Rule(protocols=FAMILY_1,
       symptoms={'proof'})
 def lock(case: Case, device: DeviceReport) -> Found | None:
     """

@@ -574,8 +574,7 @@ def _is_ignored(samples: list[Sample], least: float, may_hold: bool) -> bool:
 
 # --- partly there --------------------------------------------------------------------------------
 
-@Rule(each_device=True,
-      symptoms={'answers to Pings only'},
+@Rule(symptoms={'answers to Pings only'},
       accounts_for={*SILENCE, 'absence', 'restart', 'no acknowledgements'})
 def ping_only(case: Case, device: DeviceReport) -> Found | None:
     """
@@ -604,8 +603,7 @@ def _is_ping_only(case: Case, device: DeviceReport) -> bool:
         and asked.data_missed >= INCIDENTS_MIN
 
 
-@Rule(each_device=True,
-      symptoms={'missed answers'})
+@Rule(symptoms={'missed answers'})
 def missed_answers(case: Case, device: DeviceReport) -> Found | None:
     """
     More than 1 % of its answers missing.

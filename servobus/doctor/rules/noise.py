@@ -235,7 +235,7 @@ def overrun(case: Case) -> Claims:
                     {'overruns': lost})
 
 
-@Rule(holds=False, each_device=True,
+@Rule(holds=False,
       symptoms={'changed rate'},
       accounts_for={*SILENCE, 'slow cycle', 'joint at rest'})
 def baud_moved(case: Case, device: DeviceReport) -> Found | None:
@@ -253,7 +253,7 @@ def baud_moved(case: Case, device: DeviceReport) -> Found | None:
                  'others and the master to it')
 
 
-@Rule(holds=False, each_device=True,
+@Rule(holds=False,
       symptoms={'proof'},
       accounts_for={*SILENCE, 'silent bus', 'slow cycle'})
 def id_moved(case: Case, device: DeviceReport) -> Found | None:
@@ -390,7 +390,7 @@ def echo(case: Case) -> Claims:
 
 # --- several senders -----------------------------------------------------------------------------
 
-@Rule(level=Level.ERROR, each_device=True,
+@Rule(level=Level.ERROR,
       symptoms={'second answers'},
       accounts_for={*DAMAGE, 'damaged first bytes', 'late answers', 'restart', 'unread bytes'})
 def duplicate_id(case: Case, device: DeviceReport) -> Found | None:

@@ -300,8 +300,7 @@ def _what_is_there(device: DeviceReport, address: int, error: int) -> str:
     return f'{field.name} ({field.access}, {field.size} bytes) does not allow this access'
 
 
-@Rule(each_device=True,
-      symptoms={'refused value'},
+@Rule(symptoms={'refused value'},
       accounts_for={'refused access', 'joint at rest'})
 def goal_limits(case: Case, device: DeviceReport) -> Found | None:
     """
@@ -543,8 +542,7 @@ def with_models_named(report: BusReport, names: Names) -> BusReport:
                       and one.level is Level.OK else one for one in report.devices))
 
 
-@Rule(each_device=True,
-      symptoms={'proof'},
+@Rule(symptoms={'proof'},
       accounts_for={'joint at rest'})
 def eeprom_wear(case: Case, device: DeviceReport) -> Found | None:
     """
@@ -561,7 +559,7 @@ def eeprom_wear(case: Case, device: DeviceReport) -> Found | None:
                  {'writes in 10 s': count})
 
 
-@Rule(level=Level.OK, onset_s=ACKS_ONSET_S, holds=False, each_device=True,
+@Rule(level=Level.OK, onset_s=ACKS_ONSET_S, holds=False,
       symptoms={'no acknowledgements'},
       accounts_for={'missed answers', 'silent device'})
 def no_acks(case: Case, device: DeviceReport) -> Found | None:
@@ -590,7 +588,7 @@ def no_acks(case: Case, device: DeviceReport) -> Found | None:
                  rests_on=() if has_ended or unanswered else (ANSWER,))
 
 
-@Rule(level=Level.OK, each_device=True,
+@Rule(level=Level.OK,
       symptoms={'no writes'})
 def never_written(case: Case, device: DeviceReport) -> Found | None:
     """
@@ -637,7 +635,8 @@ def _may_be_absent(case: Case, device: DeviceReport) -> bool:
     """Tell whether a device that could take part gives no answer to anything else either."""
     refused = sum(one.detail.instruction in FAST_READS and one.detail.error == INSTRUCTION_ERROR
                   for one in case.incidents(ev.REFUSED, device))
-    is_able = device.firmware is not None and not _lacks_fast_reads(device) \
+    is_able = device.firmware is not None \
+        and device.firmware >= _fast_reads_since(device.model_number) \
         and case.recent_counts(device, ANSWERS_OTHERWISE_S).answers < INCIDENTS_MIN
     return refused < INCIDENTS_MIN and (is_able or not device.totals.answers)
 
@@ -651,13 +650,9 @@ def _claim_fast_read(cycle: Cycle, device: DeviceReport) -> Claim:
                  {'fast reads': cycle.asked}, covers=tuple(after), device=device.id)
 
 
-def _lacks_fast_reads(device: DeviceReport) -> bool:
-    """Tell whether its firmware is older than fast reads (e-Manual, Fast Sync Read)."""
-    if device.firmware is None or device.model_number is None:
-        return False
-    since = next((firmware for numbers, firmware in _FAST_SINCE if device.model_number in numbers),
-                 0)
-    return device.firmware < since
+def _fast_reads_since(model_number: int | None) -> int:
+    """Return the firmware from which on a model has fast reads (e-Manual, Fast Sync Read)."""
+    return next((firmware for numbers, firmware in _FAST_SINCE if model_number in numbers), 0)
 
 
 @Rule(subject='bus',

@@ -127,7 +127,7 @@ def _supply_claims(found: list[tuple[DeviceReport, float, float]], words: str,
                     rests_on=SUPPLY)
 
 
-@Rule(each_device=True, protocols=FAMILY_1, needs_model=True,
+@Rule(protocols=FAMILY_1, needs_model=True,
       symptoms={'proof'})
 def layout(case: Case, device: DeviceReport) -> Found | None:
     """

@@ -256,12 +256,10 @@ def _repeats_into_answers(case: Case) -> list[Incident[ev.Again]]:
     """
     if not case.count(ev.TOO_LONG) or not ran_into_answers(case):
         return []
-    longest: dict[int, float] = {}
-    for cycle in case.cycles:
-        within = answered_within_ns(cycle, case.report.baud)
-        longest[cycle.instruction] = max(within, longest.get(cycle.instruction, 0.0))
-    return [one for one in case.incidents(ev.REPEATED)
-            if 1000 * one.detail.us < longest.get(one.detail.instruction, 0.0)]
+    return [one for one in case.incidents(ev.REPEATED) if any(
+        cycle.instruction == one.detail.instruction
+        and 1000 * one.detail.us < answered_within_ns(cycle, case.report.baud)
+        for cycle in case.cycles)]
 
 
 def _hidden_repeats(case: Case) -> list[Incident[ev.Code]]:
@@ -415,7 +413,7 @@ def bus_too_slow(case: Case) -> Claims:
                     Level.WARN if harm else Level.OK)
 
 
-@Rule(level=Level.OK, each_device=True,
+@Rule(level=Level.OK,
       symptoms={'slow answers'},
       accounts_for={'slow cycle'})
 def return_delay(case: Case, device: DeviceReport) -> Found | None:
