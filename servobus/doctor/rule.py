@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 from msg_defs.reports import Level
 from servobus.bus.report import IncidentKind
+from servobus.doctor.symptom import PROOF
 from servobus.doctor.symptom import Symptom
 
 ANSWER = 'answer'                  # for `rests_on`: the last answer to any instruction
@@ -84,7 +85,7 @@ class Rule:
     the bus; those of all devices, where it is about the bus.
     """
 
-    symptoms: Set[Symptom]         # what its findings consist of
+    symptoms: Set[Symptom] = PROOF         # what its findings consist of
     accounts_for: Set[Symptom] = frozenset()
     subject: str = 'device'        # or 'bus', or both
     level: Level = Level.WARN

@@ -102,7 +102,6 @@ def latched_error(device: DeviceReport) -> Claim | None:
 
 
 @Rule(level=Level.ERROR, needs_registers={'Bus Watchdog'},
-      symptoms={'proof'},
       accounts_for={'refused address', 'refused access', 'joint at rest'})
 def watchdog(case: Case, device: DeviceReport) -> Found | None:
     """
@@ -127,8 +126,7 @@ def _is_goal(device: DeviceReport, address: int) -> bool:
     return field is not None and field.name.startswith('Goal')
 
 
-@Rule(level=Level.ERROR,
-      symptoms={'proof'})
+@Rule(level=Level.ERROR)
 def too_hot(case: Case) -> Claims:
     """
     At its Temperature Limit; WARN from 5 degrees below.
@@ -213,8 +211,7 @@ def _supply_claim(device: DeviceReport, volts: float, is_beyond: bool, where: st
                  _level(is_beyond), device=device.id, rests_on=SUPPLY)
 
 
-@Rule(needs_registers={'Goal Position', _PLACE},
-      symptoms={'proof'})
+@Rule(needs_registers={'Goal Position', _PLACE})
 def range_wraps(case: Case, device: DeviceReport) -> Found | None:
     """
     Positions jump between 4095 and 0 while goals are sent (1.0 family).
@@ -236,8 +233,7 @@ def range_wraps(case: Case, device: DeviceReport) -> Found | None:
                  'in the middle of its range', rests_on=(_PLACE,))
 
 
-@Rule(needs_registers={_PLACE},
-      symptoms={'proof'})
+@Rule(needs_registers={_PLACE})
 def impossible_position(case: Case, device: DeviceReport) -> Found | None:
     """
     A position beyond a turn in spite of its limits (Feetech).

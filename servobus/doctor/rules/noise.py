@@ -166,7 +166,6 @@ def _header_at(ratio: float) -> bytes:
 
 
 @Rule(subject='bus', level=Level.ERROR,
-      symptoms={'proof'},
       accounts_for={*TRAFFIC, 'no packets', 'two protocols'})
 def text(case: Case) -> Claims:
     """
@@ -254,7 +253,6 @@ def baud_moved(case: Case, device: DeviceReport) -> Found | None:
 
 
 @Rule(holds=False,
-      symptoms={'proof'},
       accounts_for={*SILENCE, 'silent bus', 'slow cycle'})
 def id_moved(case: Case, device: DeviceReport) -> Found | None:
     """

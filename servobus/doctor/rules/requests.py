@@ -135,7 +135,6 @@ def _answers_twice(case: Case) -> int | None:
 
 
 @Rule(subject='bus', level=Level.ERROR,
-      symptoms={'proof'},
       accounts_for={*SILENCE, 'silent bus', 'slow cycle'})
 def rate_refused(case: Case) -> Claims:
     """
@@ -150,7 +149,6 @@ def rate_refused(case: Case) -> Claims:
 
 
 @Rule(subject='bus', level=Level.ERROR,
-      symptoms={'proof'},
       accounts_for={*SILENCE, *DAMAGE, 'silent bus', 'late answers', 'no acknowledgements',
                     'echo', 'unread bytes', 'wrong length', 'slow cycle'})
 def line_mode(case: Case) -> Claims:
@@ -172,7 +170,6 @@ def line_mode(case: Case) -> Claims:
 
 
 @Rule(subject='bus', level=Level.ERROR,
-      symptoms={'proof'},
       accounts_for={*SILENCE, *DAMAGE, 'no packets', 'silent bus', 'slow cycle'})
 def wrong_packets(case: Case) -> Claims:
     """
@@ -204,8 +201,7 @@ def wrong_packets(case: Case) -> Claims:
                     f'servo takes: {what}', {'bytes': sent})
 
 
-@Rule(subject='bus',
-      symptoms={'proof'})
+@Rule(subject='bus')
 def impossible_id(case: Case) -> Claims:
     """
     Asks ID 255, or 253 in Protocol 2.0; reads from 254.
@@ -225,8 +221,7 @@ def impossible_id(case: Case) -> Claims:
             return
 
 
-@Rule(subject='bus',
-      symptoms={'proof'})
+@Rule(subject='bus')
 def unstuffed(case: Case) -> Claims:
     """
     `FF FF FD` in the data without the extra `FD`.
@@ -245,7 +240,6 @@ def unstuffed(case: Case) -> Claims:
 # --- what devices refuse -------------------------------------------------------------------------
 
 @Rule(needs_incident=(ev.REFUSED,),
-      symptoms={'proof'},
       accounts_for={'refused access'})
 def eeprom_locked(case: Case, device: DeviceReport) -> Found | None:
     """
@@ -452,8 +446,7 @@ def _least_refusals(case: Case, device: DeviceReport, few: int) -> int:
 
 # --- how it goes on ------------------------------------------------------------------------------
 
-@Rule(subject='bus', holds=False,
-      symptoms={'proof'})
+@Rule(subject='bus', holds=False)
 def master_stopped(case: Case) -> Claims:
     """
     No more instructions after 2.5 s of them or more.
@@ -480,7 +473,6 @@ def master_stopped(case: Case) -> Claims:
 
 
 @Rule(subject='bus', level=Level.OK, holds=False,
-      symptoms={'proof'},
       accounts_for={'damaged packets', 'damaged answers', 'stray bytes', 'damaged first bytes',
                     'uneven rhythm'})
 def scan(case: Case) -> Claims:
@@ -506,8 +498,7 @@ def scan(case: Case) -> Claims:
                     {'without an answer': first_ids(case.report.scanned)}, stands_alone=True)
 
 
-@Rule(subject='bus', level=Level.OK,
-      symptoms={'proof'})
+@Rule(subject='bus', level=Level.OK)
 def models(case: Case) -> Claims:
     """
     Devices of unknown models, as `cannot tell.models`.
@@ -542,8 +533,7 @@ def with_models_named(report: BusReport, names: Names) -> BusReport:
                       and one.level is Level.OK else one for one in report.devices))
 
 
-@Rule(symptoms={'proof'},
-      accounts_for={'joint at rest'})
+@Rule(accounts_for={'joint at rest'})
 def eeprom_wear(case: Case, device: DeviceReport) -> Found | None:
     """
     Thirty EEPROM writes in ten seconds.

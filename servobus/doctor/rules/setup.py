@@ -80,7 +80,6 @@ def _clashes(case: Case, device: DeviceReport) -> bool:
 
 
 @Rule(level=Level.ERROR, onset_s=SUPPLY_ONSET_S,
-      symptoms={'proof'},
       accounts_for={'voltage limit', 'error bits', 'joint at rest'})
 def wrong_supply(case: Case) -> Claims:
     """
@@ -127,8 +126,7 @@ def _supply_claims(found: list[tuple[DeviceReport, float, float]], words: str,
                     rests_on=SUPPLY)
 
 
-@Rule(protocols=FAMILY_1, needs_model=True,
-      symptoms={'proof'})
+@Rule(protocols=FAMILY_1, needs_model=True)
 def layout(case: Case, device: DeviceReport) -> Found | None:
     """
     Reads or writes that cut a register (1.0 family).
