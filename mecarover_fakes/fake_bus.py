@@ -111,10 +111,10 @@ def _run(arguments: list[str]) -> int:
         with ExitStack() as stack:
             if options.control:
                 stack.enter_context(commands_from(options.control, bus.command))
-            stack.enter_context(one_signal())
             print(f'fake_bus: {options.link or bus.path}, {options.baud} baud, {len(devices)} '
                   f'devices, pattern {pattern}{tapped}', flush=True)
             bus.start(options.seconds)
+            stack.enter_context(one_signal())
             while bus.is_running:
                 time.sleep(WAIT_S)  # not join: interrupted, it takes the thread for ended
     except KeyboardInterrupt:

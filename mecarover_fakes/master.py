@@ -62,6 +62,7 @@ class Master:
         self._busy_until = 0
         self._strays_until = 0
         self._until: int | None = None
+        self._is_stopped = False
 
     def bursts(self, until: int | None = None) -> Iterator[Burst]:
         """Yield the bursts on the line until a time (None: until stop()), exchanges whole."""
@@ -84,8 +85,8 @@ class Master:
         yield from self._flush()
 
     def stop(self) -> None:
-        """End bursts() after the exchange in progress."""
-        self._until = 0
+        """End bursts() after the exchange in progress, or before it has begun."""
+        self._is_stopped = True
 
     def command(self, text: str, now: int) -> None:
         """Begin or end faults, as Faults.command() does."""
@@ -101,7 +102,7 @@ class Master:
 
     def is_over(self, now: int) -> bool:
         """Tell whether bursts() has nothing more to come at `now`."""
-        return self._until is not None and now >= self._until
+        return self._is_stopped or (self._until is not None and now >= self._until)
 
     def _next_cycle(self, begin: int) -> int:
         """Move on to the next cycle; return when it should have begun."""
