@@ -3,6 +3,7 @@
 """dxl_dump: what happens on a Dynamixel bus, in the terminal; from a port, a capture or bytes."""
 from __future__ import annotations
 
+from argparse import Namespace
 from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Sequence
@@ -17,12 +18,16 @@ from servobus.model.models import check_models
 from servobus.model.models import model_files
 from servobus.model.models import Models
 from servobus.plain import printable
+from servobus.settings import settings_of
+from servobus.sources.capture import Wire
 from servobus.tools.cli import COULD_NOT_RUN
 from servobus.tools.cli import DONE
 from servobus.tools.cli import print_problems
 from servobus.tools.cli import run_tool
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
+from servobus.tools.dump.packet_check import bytes_of
+from servobus.tools.dump.packet_check import check_packet
 from servobus.tools.dump.packet_lines import TIMES
 from servobus.tools.dump.recordings import CAPTURE
 from servobus.tools.dump.recordings import FORMATS
@@ -45,6 +50,7 @@ EXAMPLES = """examples:
   dxl_dump bus.txt --id 7,11 --instruction write,status
   dxl_dump bus.txt --json | jq .registers       for programs
   ssh robot dxl_dump /dev/ttyUSB0 -w - | dxl_dump -
+  dxl_dump --check 'FF FF 01 04 02 38 02 BE'    is this packet right, and what does it say?
   dxl_dump --check-models my_models             is a folder of model files all right?
   dxl_dump --wireshark my_folder                the dissector's tables of all models"""
 
@@ -60,6 +66,8 @@ def _run(arguments: list[str]) -> int:
     options = parser.parse_args(arguments)
     if options.check_models is not None:
         return _check_models(options.check_models)
+    if options.check is not None:
+        return _check_packet(options.check, options)
     if options.wireshark is not None:
         return _write_tables(Path(options.wireshark), models_of(options))
     if options.source is None:
@@ -82,6 +90,15 @@ def _check_models(folder: str) -> int:
         return COULD_NOT_RUN
     print(f'{printable(folder)}: {len(model_files(Path(folder)))} model files, no problem')
     return DONE
+
+
+def _check_packet(text: str, options: Namespace) -> int:
+    """Say whether a packet is right, what it says, and what would be right."""
+    models = models_of(options)
+    settings = settings_of('', Wire('', 1_000_000), options.devices, options.protocol)
+    is_right, lines = check_packet(bytes_of(text), settings, models)
+    print(*lines, sep='\n')
+    return DONE if is_right else COULD_NOT_RUN
 
 
 def _write_tables(folder: Path, models: Models) -> int:
@@ -169,6 +186,8 @@ def _parser() -> Parser:
     add('--full', action='store_true', help='do not cut lines to the width of the terminal')
     add('--color', choices=('auto', 'always', 'never'), default='auto',
         help='default: on a terminal, unless NO_COLOR is set')
+    add('--check', metavar='HEX', help="check a packet, e.g. 'FF FF 01 04 02 38 02 BE', say what "
+        'it says and what would be right, and exit')
     add('--check-models', metavar='DIR', help='check a folder of model files and exit')
     add('--wireshark', metavar='DIR', help='write the tables of the Wireshark dissector to a '
         'folder and exit; with --model-dirs also of your models')

@@ -64,7 +64,7 @@ class Lines:
     def line(self, bus: str, stamp: int, entry: Entry, parts: Sequence[Part],
              identity: PingAnswer | None) -> str:
         """Return the line of an entry; stamp in ns, as the time is to be shown."""
-        mark, colour, number, name, words = _shown(entry, parts, identity)
+        mark, colour, number, name, words = columns_of(entry, parts, identity)
         is_wide = self.width is None or self.width >= WIDE_MIN_COLUMNS
         model = _model(entry.device, is_wide)
         self._model_width = max(self._model_width, len(model))
@@ -112,7 +112,8 @@ def delta_text(delta_us: float) -> str:
 Shown = tuple[str, str, str, str, str]         # mark, colour, ID, instruction, words
 
 
-def _shown(entry: Entry, parts: Sequence[Part], identity: PingAnswer | None) -> Shown:
+def columns_of(entry: Entry, parts: Sequence[Part], identity: PingAnswer | None) -> Shown:
+    """Return what is shown of an entry."""
     packet, device = entry.packet, entry.device
     if entry.kind == MISSED:
         number = '' if device is None else f'{device.number:03}'

@@ -1,0 +1,100 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+A packet that somebody typed: whether it is right, what it says, what would be right.
+
+For those who write their own code: e-Manual, Protocol 1.0 and 2.0, "Instruction Packet".
+"""
+
+from __future__ import annotations
+
+import re
+
+from msg_defs.dxl_packet import body_crc
+from msg_defs.dxl_packet import HEADER
+from servobus.bus.decoder import Settings
+from servobus.errors import UsageError
+from servobus.model.models import Models
+from servobus.monitor import Monitor
+from servobus.tools.dump.decode import identity_of
+from servobus.tools.dump.decode import parts_of
+from servobus.tools.dump.listing import Entry
+from servobus.tools.dump.listing import Listing
+from servobus.tools.dump.packet_lines import columns_of
+
+_SEPARATORS = re.compile(r'\\x|0x|[\s,;:{}\[\]()-]', re.IGNORECASE)
+_STAMP = 1_000_000_000
+_FRONT_1, _FRONT_2 = 4, 7          # bytes up to the end of Length
+_MIN_1, _MIN_2 = 6, 10             # bytes of the shortest packet
+
+
+def bytes_of(text: str) -> bytes:
+    """Return the bytes of hex digits, as programs print them; UsageError for something else."""
+    digits = _SEPARATORS.sub(' ', text).split()
+    try:
+        return b''.join(bytes.fromhex(one if len(one) != 1 else f'0{one}') for one in digits)
+    except ValueError:
+        raise UsageError(f"--check {text!r}: not bytes in hex; write e.g. "
+                         "'FF FF 01 04 02 38 02 BE'") from None
+
+
+def check_packet(packet: bytes, settings: Settings, models: Models) -> tuple[bool, list[str]]:
+    """Return whether a packet is right, and the lines about it."""
+    is_2 = packet.startswith(HEADER)
+    family = 'Protocol 2.0' if is_2 else 'Protocol 1.0 or Feetech'
+    if not packet.startswith(b'\xff\xff'):
+        return False, ['a packet begins with FF FF FD 00 (Protocol 2.0) or FF FF (Protocol 1.0, '
+                       'Feetech)']
+    shortest = _MIN_2 if is_2 else _MIN_1
+    if len(packet) < shortest:
+        return False, [f'{family}: {len(packet)} bytes; the shortest packet has {shortest}']
+    right, problems = (_right_2 if is_2 else _right_1)(packet)
+    lines = [f'{family}, {len(packet)} bytes: {"wrong" if problems else "right"}', *problems]
+    if problems:
+        lines.append(f'right: {right.hex(" ").upper()}')
+    given = settings.protocol if settings.protocol not in ('auto', '2') else '1'
+    settings = settings._replace(protocol='2' if is_2 else given)
+    return not problems, lines + _meaning(right, settings, models)
+
+
+def _right_1(packet: bytes) -> tuple[bytes, list[str]]:
+    body = packet[_FRONT_1:-1]
+    length, right_length = packet[3], len(packet) - _FRONT_1
+    sums = [~sum((packet[2], one, *body)) & 0xFF for one in (length, right_length)]
+    problems = _length_problems(length, right_length)
+    if packet[-1] not in sums:
+        hint = ': it is the sum, not inverted' if packet[-1] ^ sums[-1] == 0xFF else ''
+        problems.append(f'checksum is {packet[-1]:02X}, must be {sums[-1]:02X}{hint}')
+    return bytes((0xFF, 0xFF, packet[2], right_length & 0xFF, *body, sums[-1])), problems
+
+
+def _right_2(packet: bytes) -> tuple[bytes, list[str]]:
+    length, right_length = int.from_bytes(packet[5:7], 'little'), len(packet) - _FRONT_2
+    right = packet[:5] + right_length.to_bytes(2, 'little') + packet[_FRONT_2:-2]
+    crcs = [body_crc(one[4:]).to_bytes(2, 'little') for one in (packet[:-2], right)]
+    problems = _length_problems(length, right_length)
+    if packet[-2:] not in crcs:
+        hint = ': the low byte comes first' if packet[:-3:-1] == crcs[-1] else ''
+        problems.append(f'CRC is {packet[-2:].hex(" ").upper()}, must be '
+                        f'{crcs[-1].hex(" ").upper()}{hint}')
+    return right + crcs[-1], problems
+
+
+def _length_problems(length: int, right: int) -> list[str]:
+    return [f'Length is {length}, must be {right}: the bytes that follow it'] * (length != right)
+
+
+def _meaning(packet: bytes, settings: Settings, models: Models) -> list[str]:
+    """Return what dxl_dump shows of a packet, without its time."""
+    found: list[str] = []
+
+    def show(entry: Entry) -> None:
+        mark, _, number, name, words = columns_of(entry, parts_of(entry, listing),
+                                                  identity_of(entry))
+        found.append(f'{mark} {number} {name} {words}'.rstrip())
+
+    listing = Listing(models, show, settings)
+    monitor = Monitor('', models, settings, decoder=listing)
+    monitor.feed(packet, _STAMP)
+    monitor.end(2 * _STAMP)
+    return [one for one in found if not one.startswith('!')]
