@@ -107,7 +107,7 @@ class BusDecoder:
     def _new_framer(self, side: str) -> AnyFramer:
         framer: AnyFramer = dxl1_packet.Dxl1Framer()
         if self.detector is not None:
-            framer = MixedFramer(self.detector, bool(side), side)
+            framer = MixedFramer(self.detector, side)
         elif self.classifier is None:
             framer = Framer()
         self.framers[side] = framer
