@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 from msg_defs.crc import bare_crc16
 from msg_defs.crc import crc16
-from msg_defs.crc import crc16_behind
 from msg_defs.crc import CRC16_TABLE
 from msg_defs.frame import ahead
 from msg_defs.frame import Flaw
@@ -34,7 +33,6 @@ MAX_LENGTH = 1024                  # in the Length field: the buffer of most dev
 MAX_FRAME = MAX_LENGTH + 7
 
 TAIL = HEADER[1:]                  # what a header has left when the line turned round too late
-body_crc = crc16_behind(HEADER)    # CRC of a frame from its ID on: the header is taken as good
 HEADER_CRC = crc16(HEADER)
 _RUN = b'\xff\xff\xfd'
 _BEGUN = re.compile(rb'\xff\xff?\xfd?\Z')     # it may become a header
@@ -55,6 +53,11 @@ class Packet(NamedTuple):
     error: int | None              # in a status, alert bit included
     params: bytes                  # unstuffed
     repaired: bool                 # the first header byte was missing or wrong
+
+
+def body_crc(body: bytes) -> int:
+    """Return the CRC of a frame from its ID on: the header is taken as good."""
+    return crc16(body, HEADER_CRC)
 
 
 def stuff(data: bytes) -> bytes:
