@@ -223,7 +223,7 @@ class MixedFramer:
     @property
     def noise(self) -> Data:
         """The last of the noise."""
-        return self._one.noise if self._claimed else self._two.noise
+        return self._two.noise if self._one.two is None else self._one.noise
 
     @property
     def noise_length(self) -> int:
