@@ -57,8 +57,8 @@ setup(
         ('share/' + NAME, ['package.xml']),
         # In one folder as here: settings and programs name docs/, deploy/ and firmware/.
         *((f'share/{NAME}/{Path(names).parent}', sorted(filter(isfile, glob(names))))
-          for names in ('launch/*.launch.py', 'config/*', 'deploy/*', 'docs/*.md', 'firmware/*',
-                        'firmware/examples/*')),
+          for names in ('launch/*.launch.py', 'config/*', 'deploy/*', 'docs/*.md', 'docs/*.json',
+                        'firmware/*', 'firmware/examples/*')),
         # A wheel ignores setup.cfg's install_scripts: these files are what `ros2 run` finds
         # after `pip install`. colcon puts its own entry points of the same names there.
         ('lib/' + NAME, sorted(glob('resource/executables/*'))),
@@ -74,7 +74,8 @@ setup(
         'ros': ['ros-jazzy-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces==5.3.6'],
         'dashboard': DASHBOARD,
         'mcap': MCAP,                       # dxl_dump -w FILE.mcap
-        'test': ['pytest>=7.4', 'pytest-xdist>=3.7', 'hypothesis', 'dynamixel-sdk==4.1.0',
+        'test': ['pytest>=7.4', 'pytest-xdist>=3.7', 'hypothesis', 'jsonschema',
+                 'dynamixel-sdk==4.1.0',
                  'feetech-servo-sdk==1.0.0', 'ruff', 'mypy', 'types-PyYAML', 'playwright',
                  # wheels only where they are sure to be: else it wants a Rust compiler
                  'rustypot==1.13.1; platform_machine == "x86_64"', 'axe-playwright-python',

@@ -17,7 +17,7 @@ from servobus.bus.report import BusReport
 from servobus.bus.report import CONNECTED
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import DISCONNECTED
-from servobus.doctor.rule import first_ids
+from servobus.doctor import first_ids
 
 S = 1_000_000_000
 TOGETHER_NS = S                # without another device: all have come to which it happens

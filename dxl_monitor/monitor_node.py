@@ -240,7 +240,9 @@ class MonitorNode(Stoppable):
         is_time = now_s - self._overview_s >= OVERVIEW_S - self._period_s / 2
         if is_time or levels != self._levels:
             self._levels = levels
-            self._publish(self._overview, self._overview_arrays, self._statuses(reports, False))
+            for array in self._overview_arrays.build(
+                    self._statuses(reports, False), self._stamp()):
+                self._overview.publish(array)
         if is_time:
             self._overview_s = now_s
             self._publish_timing([report for _, report, _ in reports])
@@ -254,10 +256,6 @@ class MonitorNode(Stoppable):
         node = full_name(self.node)
         return [status for one, report, port in reports
                 for status in statuses_of(node, one.bus.label, report, port, whole)]
-
-    def _publish(self, publisher: Any, arrays: DiagnosticArrays, statuses: list[Status]) -> None:
-        for array in arrays.build(statuses, self._stamp()):
-            publisher.publish(array)
 
     def _stamp(self) -> Any:
         return to_time(self.node.get_clock().now().nanoseconds)

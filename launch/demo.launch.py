@@ -72,6 +72,6 @@ def _start(context):
 
 
 def _fake(name, *arguments):
-    """Not a Node action: that would add --ros-args, and the fakes know nothing of ROS."""
+    """Not a Node action: the fakes know nothing of ROS, and ignore the --ros-args that it adds."""
     return ExecuteProcess(cmd=[ExecutableInPackage(name, PACKAGE), *arguments],
                           name=name, output='screen')

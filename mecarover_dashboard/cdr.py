@@ -88,21 +88,17 @@ class HandedStatus(NamedTuple):
 
     def pairs(self, first: int | None = None, limit: int = TEXT_LIMIT) -> Pairs:
         """Return the first so many (key, value) pairs, by default all, long texts cut."""
-        return [(handed(key, limit), handed(value, limit)) for key, value in self.values[:first]]
+        return [(printable(key, limit), printable(value, limit))
+                for key, value in self.values[:first]]
 
     def find(self, start: bytes) -> tuple[str, str] | None:
         """Return the first pair with a key that begins with ASCII text; None if there is none."""
         text = start.decode()
-        return next(((handed(key), handed(value)) for key, value in self.values
-                     if key.startswith(text)), None)
+        return next(((printable(key, TEXT_LIMIT), printable(value, TEXT_LIMIT))
+                     for key, value in self.values if key.startswith(text)), None)
 
 
 AnyStatus = RawStatus | HandedStatus
-
-
-def handed(text: str, limit: int = TEXT_LIMIT) -> str:
-    """Return a text of this process as the page may have it."""
-    return printable(text) if len(text) <= limit else f'{printable(text[:limit])}\u2026'
 
 
 def statuses(data: bytes) -> list[RawStatus]:

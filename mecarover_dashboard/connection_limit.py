@@ -28,18 +28,14 @@ class ConnectionLimit(asyncio.Protocol):
         self._transport: asyncio.Transport
         self._late: asyncio.TimerHandle | None = None
 
-    @property
-    def address(self) -> str:
-        """Return where the connection comes from."""
-        return _address(self._transport)
-
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Let it in, unless it is one too many."""
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
-        taken = [door.address for door in self._waiting]
-        taken += [_address(one.transport) for one in self._handlers.connections]
-        if len(taken) >= MOST_CONNECTIONS or taken.count(self.address) >= MOST_OF_ADDRESS:
+        taken = [_address(one) for one in (
+            *(door._transport for door in self._waiting),
+            *(one.transport for one in self._handlers.connections))]
+        if len(taken) >= MOST_CONNECTIONS or taken.count(_address(transport)) >= MOST_OF_ADDRESS:
             transport.abort()
             return
         self._waiting.add(self)

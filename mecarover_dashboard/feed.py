@@ -21,8 +21,8 @@ from msg_defs.reports import status_name
 from msg_defs.signal import Points
 from msg_defs.signal import SPAN_S
 from servobus.bus.report import BusReport
-from servobus.doctor.finding_log import BusSummary
-from servobus.doctor.finding_log import FindingLog
+from servobus.doctor import BusSummary
+from servobus.doctor import FindingLog
 from servobus.examination import REPORT_NS
 from servobus.monitor import Monitor
 from servobus.signals import BusSignals

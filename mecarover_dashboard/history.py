@@ -47,7 +47,8 @@ _SCHEMA = f"""
 """
 _FAR = 1e12                     # beyond this a value is not a measurement
 _UNKNOWN = (1, 0)               # low above high: the value is not known, and not carried forward
-_Pairs = tuple[tuple[int, int], ...]
+_Pairs = tuple[tuple[int | None, int | None], ...]
+Range = tuple[float, float]     # the lowest and the highest
 
 
 class Subject(NamedTuple):
@@ -60,13 +61,12 @@ class Subject(NamedTuple):
 
 
 class Window(NamedTuple):
-    """What a source was in the 10 s that begin at `at` (Unix s); None where nothing is known."""
+    """What a source was in the 10 s that begin at `at` (Unix s)."""
 
     at: int
     source: Subject
     level: int                  # the worst
-    lows: tuple[float | None, ...]
-    highs: tuple[float | None, ...]
+    ranges: tuple[Range | None, ...]    # one for each of VALUES; None: nothing is known
 
 
 class Event(NamedTuple):
@@ -106,10 +106,8 @@ class HistoryWriter:
         except (sqlite3.DatabaseError, DamagedError) as error:
             self._database.close()
             raise DamagedError(str(error)) from error
-        self._sources: dict[str, tuple[int, str]] = {
-            name: (number, unit) for number, name, unit in self._database.execute(
-                'SELECT id, name, unit FROM sources')}
-        self._written: dict[int, tuple[int, _Pairs, _Pairs | None]] = {}
+        self._sources: dict[str, tuple[int, str]] = {}         # numbers and units
+        self._written: dict[int, tuple[int, _Pairs]] = {}      # the last window of each source
 
     def _prepare(self) -> None:
         run = self._database.execute
@@ -150,39 +148,33 @@ class HistoryWriter:
         except BaseException:
             with suppress(sqlite3.Error):
                 run('ROLLBACK')
+            self._sources.clear()           # those that were new are not in the file
             self._written.clear()
             raise
 
     def _number(self, source: Subject) -> int:
         """Return the number of a source, a new one where it has none."""
         number, unit = self._sources.get(source.name, (0, ''))
-        if not number:
-            made = self._database.execute(
-                'INSERT INTO sources(name, kind, robot, unit) VALUES (?, ?, ?, ?)',
-                (source.name, source.kind, source.robot, source.unit))
-            number = made.lastrowid or 0
-        elif source.unit and unit != source.unit:
-            self._database.execute('UPDATE sources SET unit = ? WHERE id = ?',
-                                   (source.unit, number))
-        else:
-            return number
-        self._sources[source.name] = (number, source.unit)
+        if not number or (source.unit and unit != source.unit):
+            [[number]] = self._database.execute(
+                'INSERT INTO sources(name, kind, robot, unit) VALUES (?, ?, ?, ?) '
+                'ON CONFLICT(name) DO UPDATE '
+                "SET unit = coalesce(nullif(excluded.unit, ''), unit) RETURNING id", source)
+            self._sources[source.name] = number, source.unit
         return number
 
     def _row(self, window: Window) -> list[int | None]:
         """Return what is stored of a window: what differs from the one before."""
         number = self._number(window.source)
-        at, pairs, before = self._written.get(number, (0, (), None))
-        if at != window.at:
-            follows = at == window.at - WINDOW_S and window.at % WHOLE_S
-            before = pairs if follows else None
-            if window.at < at:
-                self._make_room(number, window.at)
-        new = tuple(map(_stored, window.lows, window.highs))
-        self._written[number] = window.at, new, before
-        kept = new if before is None else [
-            (None, None) if pair == old else pair for pair, old in zip(new, before, strict=True)]
-        row = [end for pair in kept for end in pair]
+        at, before = self._written.get(number, (0, ()))
+        if window.at < at:
+            self._make_room(number, window.at)
+        new = tuple(map(_stored, window.ranges))
+        self._written[number] = window.at, new
+        if at != window.at - WINDOW_S or window.at % WHOLE_S == 0:
+            before = ((None, None),) * len(new)         # it is stored whole
+        row = [None if pair == old else end
+               for pair, old in zip(new, before, strict=True) for end in pair]
         return [window.at, number, window.level, *row, *[None] * (len(_COLUMNS) - len(row))]
 
     def _make_room(self, number: int, at: int) -> None:
@@ -253,10 +245,15 @@ class HistoryReader:
         """Return the windows in the order of time."""
         from_s = int(question.from_s)
         held: dict[int, tuple[int, ...]] = {}
-        first, last = self._database.execute('SELECT min(at), max(at) FROM windows').fetchone()
-        begin = max(from_s // WHOLE_S * WHOLE_S, first or 0)
-        for at, number, level, *stored in self._rows(
-                begin, min(int(question.to_s), last or 0), self._numbers(question)):
+        [[last]] = self._database.execute('SELECT max(at) FROM windows')
+        marks = ', '.join(map(str, self._numbers(question)))
+        # To look each window up is as fast as to go through all, and faster where few are wanted.
+        for at, number, level, *stored in self._database.execute(
+                'WITH RECURSIVE times(t) AS (SELECT min(at) FROM windows WHERE at >= ?1 UNION ALL '
+                'SELECT (SELECT min(at) FROM windows WHERE at > t) FROM times WHERE t < ?2) '
+                f'SELECT windows.* FROM times CROSS JOIN windows ON at = t AND t <= ?2 '
+                f'AND source IN ({marks})',
+                (from_s // WHOLE_S * WHOLE_S, min(int(question.to_s), last or 0))):
             source = self._sources[number]
             count = len(VALUES[source.kind])
             before = held.get(number, _UNKNOWN * count)
@@ -264,25 +261,9 @@ class HistoryReader:
                 old if new is None else new
                 for new, old in zip(stored[:2 * count], before, strict=True))
             if at >= from_s // WINDOW_S * WINDOW_S:
-                lows, highs = pairs[::2], pairs[1::2]
-                known = [low <= high for low, high in zip(lows, highs, strict=True)]
-                yield Window(at, source, level, *(
-                    tuple(value / 1000 if is_known else None
-                          for value, is_known in zip(ends, known, strict=True))
-                    for ends in (lows, highs)))
-
-    def _rows(self, begin: int, end: int, wanted: list[int]) -> Iterator[tuple[int, ...]]:
-        marks = ', '.join(map(str, wanted))
-        if len(wanted) > 3:
-            return self._database.execute(
-                f'SELECT * FROM windows WHERE at BETWEEN ? AND ? AND source IN ({marks}) '
-                'ORDER BY at', (begin, end))
-        # Few of many sources: to look each up is faster than to go through all.
-        return self._database.execute(
-            'WITH RECURSIVE times(t) AS (SELECT ?1 UNION ALL SELECT t + ?2 FROM times '
-            'WHERE t + ?2 <= ?3) '
-            f'SELECT windows.* FROM times CROSS JOIN windows ON at = t AND source IN ({marks})',
-            (begin, WINDOW_S, end))
+                yield Window(at, source, level, tuple(
+                    (low / 1000, high / 1000) if low <= high else None
+                    for low, high in zip(pairs[::2], pairs[1::2], strict=True)))
 
     def _numbers(self, question: Question) -> list[int]:
         names = set(question.of)
@@ -291,11 +272,11 @@ class HistoryReader:
                 and question.robot in (None, source.robot)]
 
 
-def _stored(low: float | None, high: float | None) -> tuple[int, int]:
+def _stored(ends: Range | None) -> tuple[int, int]:
     """Return a range in thousandths."""
-    if low is None or high is None or max(-low, high) > _FAR:
+    if ends is None or max(map(abs, ends)) > _FAR:
         return _UNKNOWN
-    return round(1000 * low), round(1000 * high)
+    return round(1000 * ends[0]), round(1000 * ends[1])
 
 
 def is_read_only(path: Path) -> bool:

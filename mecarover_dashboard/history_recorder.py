@@ -13,7 +13,6 @@ window that runs.
 """
 from __future__ import annotations
 
-from collections.abc import Callable
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -31,6 +30,7 @@ from mecarover_dashboard import rows
 from mecarover_dashboard.history import DamagedError
 from mecarover_dashboard.history import Event
 from mecarover_dashboard.history import HistoryWriter
+from mecarover_dashboard.history import Range
 from mecarover_dashboard.history import set_aside
 from mecarover_dashboard.history import Subject
 from mecarover_dashboard.history import VALUES
@@ -56,9 +56,8 @@ _Batch = tuple[list[Window], list[Event]]
 
 @dataclass(slots=True)
 class _SourceLog:
-    """What was seen of a source last; what there is to keep goes into `windows` and `events`."""
+    """What was seen of a source last, and what there is to keep; `events` are those of all."""
 
-    windows: list[Window]
     events: list[Event]
     error_until_s: float        # Unix s: its errors until then are recorded
     subject: Subject
@@ -67,8 +66,7 @@ class _SourceLog:
     logged_text: str = ''       # the text of its last state that was recorded
     findings: dict[str, bool] = field(default_factory=dict)     # rules; whether it was recorded
     row: Row = field(default_factory=dict)
-    window: Window | None = None
-    is_new: bool = False        # the window is not written as it is now
+    windows: dict[int, Window] = field(default_factory=dict)    # not yet written, by their times
     ran_s: float = 0.0          # for how long the monitor of this bus had been running
     errors: int = 0             # in this window
     error_s: float | None = None    # monotonic s of the last one that was recorded
@@ -85,11 +83,10 @@ class _SourceLog:
 
     def judge_part(self, part: RobotPart, row: Row | None, unix_s: float) -> None:
         """Record what became of a bridge or a bus as a whole, unless a finding says it."""
-        now = part.level, part.problem
-        if not part.of_part or part.of_part in _texts(row):
-            now = Level.OK, ''
+        is_whole = bool(part.of_part) and part.of_part not in _texts(row)
+        now = (part.level, part.problem) if is_whole else (Level.OK, '')
         if now != (self.state or (Level.OK, '')):
-            text = part.text if now == (part.level, part.problem) \
+            text = part.text if is_whole or not part.problem \
                 else f'{part.live} of {part.total} devices answer'
             self._add_event(unix_s, 'state', part.level, text)
         self.state = now
@@ -117,18 +114,17 @@ class _SourceLog:
             self._judge_findings(row, bus, unix_s)
 
     def _judge_findings(self, row: Row, bus: Row | None, unix_s: float) -> None:
-        found = {rule: (Level.ERROR if severity == 'error' else Level.WARN, text)
-                 for rule, text, severity in row['findings']}
+        found = {rule for rule, _, _ in row['findings']}
         # What another one accounts for is not reported any more, and not over either.
         causes = set() if bus is None else {rule for rule, _, _ in bus['findings']}
-        is_explained = any(rule not in self.findings and severity != 'ok'
-                           for rule, _, severity in row['findings'])
-        for rule, (level, text) in found.items():
+        is_explained = not found <= self.findings.keys()
+        for rule, text, severity in row['findings']:
             if rule not in self.findings:
                 self.findings[rule] = text != self.logged_text
                 if text != self.logged_text:
+                    level = Level.ERROR if severity == 'error' else Level.WARN
                     self._add_event(unix_s, 'finding', level, f'{_words(rule)}: {text}')
-        for rule in self.findings.keys() - found.keys():
+        for rule in self.findings.keys() - found:
             if self.findings.pop(rule) and not (is_explained or rule in causes):
                 self._add_event(unix_s, 'over', Level.OK, _words(rule))
 
@@ -143,15 +139,13 @@ class _SourceLog:
     def add_values(self, level: int, values: tuple[float | None, ...], unix_s: float) -> None:
         """Put what was reported into the window of this time."""
         at = _window_at(unix_s)
-        old, is_written, self.is_new = self.window, not self.is_new, True
-        if old is None or old.at != at:
-            if old is not None and not is_written:
-                self.windows.append(old)
-            self.window, self.errors = Window(at, self.subject, level, values, values), 0
+        ranges = tuple(None if value is None else (value, value) for value in values)
+        old = self.windows.get(at)
+        if old is None:
+            self.windows[at], self.errors = Window(at, self.subject, level, ranges), 0
             return
-        self.window = Window(
-            at, self.subject, max(old.level, level, key=SEVERITY.index),
-            tuple(_extremes(min, old.lows, values)), tuple(_extremes(max, old.highs, values)))
+        self.windows[at] = Window(at, self.subject, max(old.level, level, key=SEVERITY.index),
+                                  tuple(map(_widened, old.ranges, ranges)))
 
     def add_errors(self, row: Row, offset_s: float, lost: set[str]) -> None:
         """Record the errors that are new, the oldest first, but for those of lost devices."""
@@ -175,7 +169,6 @@ class HistorySampler:
 
     def __init__(self, errors_until: dict[str, float] | None = None) -> None:
         self._sources: dict[str, _SourceLog] = {}
-        self._done: list[Window] = []
         self._events: list[Event] = []
         self._until = dict(errors_until or {})      # for each bus Unix s of its last error
         self._flushed_s = 0.0       # monotonic s
@@ -215,7 +208,7 @@ class HistorySampler:
         source = self._sources.get(subject.name)
         if source is None:
             source = self._sources[subject.name] = _SourceLog(
-                self._done, self._events, self._until.get(subject.name, 0.0), subject)
+                self._events, self._until.get(subject.name, 0.0), subject)
         source.subject = subject
         return source
 
@@ -230,15 +223,10 @@ class HistorySampler:
 
     def take_batch(self, unix_s: float = math.inf) -> _Batch:
         """Return what to write: windows that ended until then, and events."""
-        windows, events = list(self._done), list(self._events)
-        self._done.clear()
+        events = list(self._events)
         self._events.clear()
-        for source in self._sources.values():
-            if source.is_new and source.window is not None \
-                    and source.window.at + WINDOW_S <= unix_s:
-                windows.append(source.window)
-                source.is_new = False
-        return windows, events
+        return [source.windows.pop(at) for source in self._sources.values()
+                for at in list(source.windows) if at + WINDOW_S <= unix_s], events
 
 
 def _subject(report: RowReport, kind: str) -> Subject:
@@ -271,12 +259,9 @@ def _values(kind: str, report: RowReport, state: State) -> Iterator[float | None
         yield from (None for _ in VALUES[kind])
 
 
-def _extremes(choose: Callable[[list[float]], float], old: tuple[float | None, ...],
-              new: tuple[float | None, ...]) -> Iterator[float | None]:
-    """Return the lowest (min) or the highest (max) of each value, as far as it is known."""
-    for both in zip(old, new, strict=True):
-        known = [one for one in both if one is not None]
-        yield choose(known) if known else None
+def _widened(old: Range | None, new: Range | None) -> Range | None:
+    """Return the range of both, as far as they are known."""
+    return (min(old[0], new[0]), max(old[1], new[1])) if old and new else old or new
 
 
 def _words(rule: str) -> str:

@@ -31,6 +31,7 @@ from mecarover_dashboard.history import Question
 from mecarover_dashboard.history import VALUES
 from mecarover_dashboard.history import Window
 from mecarover_dashboard.history import WINDOW_S
+from mecarover_dashboard.rows import finite
 from msg_defs.reports import Level
 from msg_defs.reports import worst
 
@@ -98,7 +99,9 @@ async def _stream(request: web.Request, lines: Iterator[list[str]]) -> web.Strea
 
     What cannot be read later than in the first piece breaks the download off: so it fails there.
     """
-    some = await asyncio.to_thread(lambda: list(islice(lines, _ROWS)))
+    def piece() -> list[list[str]]:
+        return list(islice(lines, _ROWS))
+    some = await asyncio.to_thread(piece)
     name = f'{request.path.rpartition("/")[2]}.csv'
     response = web.StreamResponse(headers={
         'Content-Type': 'text/csv; charset=utf-8',
@@ -109,7 +112,7 @@ async def _stream(request: web.Request, lines: Iterator[list[str]]) -> web.Strea
         csv.writer(text).writerows(some)
         await response.write(text.getvalue().encode())
         try:
-            some = await asyncio.to_thread(lambda: list(islice(lines, _ROWS)))
+            some = await asyncio.to_thread(piece)
         except (sqlite3.Error, *_WRONG_VALUE) as error:
             raise ConnectionError(f'{request.path}: {error!r}') from error
     return response
@@ -134,11 +137,8 @@ def _question(request: web.Request) -> tuple[Question, int]:
 def _time(text: str | None, default: float, name: str) -> float:
     if text is None:
         return default
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0 <= value < 1e11:
+    value = finite(text)
+    if value is None or not 0 <= value < 1e11:
         raise ValueError(f'{name}: {text[:40]!r} is not a time; give Unix seconds')
     return value
 
@@ -164,10 +164,10 @@ def _merge(source: dict[str, Any], window: Window, at: int) -> None:
         levels[-1][1] = worst([levels[-1][1], level])
     else:
         levels.append([at, level])
-    for points, low, high in zip(source['values'].values(), window.lows, window.highs,
-                                 strict=True):
-        if low is None or high is None:
+    for points, ends in zip(source['values'].values(), window.ranges, strict=True):
+        if ends is None:
             continue
+        low, high = ends
         if points and points[-1][0] == at:
             points[-1][1:] = min(points[-1][1], low), max(points[-1][2], high)
         else:
@@ -178,12 +178,11 @@ def _values_csv(reader: HistoryReader, question: Question) -> Iterator[list[str]
     yield ['time', 'robot', 'name', 'level', 'load unit',
            *(f'{name} {end}' for name in _CSV_VALUES for end in ('min', 'max'))]
     for window in reader.windows(question):
-        names = VALUES[window.source.kind]
-        ends = dict(zip(names, zip(window.lows, window.highs, strict=True), strict=True))
+        ranges = dict(zip(VALUES[window.source.kind], window.ranges, strict=True))
         yield [_iso(window.at), _cell(window.source.robot), _cell(window.source.name),
                Level(window.level).name, _cell(window.source.unit),
                *('' if end is None else f'{end:g}'
-                 for name in _CSV_VALUES for end in ends.get(name, (None, None)))]
+                 for name in _CSV_VALUES for end in ranges.get(name) or (None, None))]
 
 
 def _events_json(reader: HistoryReader, question: Question, _: int) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Iterator
+from collections.abc import Sequence
 from functools import partial
 
 from prometheus_client import CollectorRegistry
@@ -66,101 +67,85 @@ class _Scrape:
     def collect(self) -> Iterator[Metric]:
         yield _gauge('problem', 'Level of what is wrong with a bridge or a bus, its devices '
                      'included; no series without a problem', ('robot', 'part', 'problem'), (
-                         ((one.robot[:_LABEL], one.name[:_LABEL], problem), float(one.level))
+                         ({'robot': one.robot, 'part': one.name, 'problem': problem}, one.level)
                          for one in self._state.parts() for problem in one.problems))
+        for what, section, labels in (('device', 'devices', _DEVICE), ('bus', 'buses', _BUS),
+                                      ('bridge', 'bridge', ('robot', 'part'))):
+            yield _gauge(f'{what}_level', f'Level of a {what}: 0 ok, 1 warning, 2 error, 3 stale',
+                         labels, ((one.row, level_of(one.row))
+                                  for one in self._state.reports(section)))
         yield from self._devices()
         yield from self._buses()
         yield from self._bridges()
         yield from self._findings()
         yield _counter('dashboard_statuses_refused', 'Statuses that the dashboard had no room for',
-                       (), [((), self._state.refused)])
+                       (), [({}, self._state.refused)])
         yield _counter('dashboard_messages_malformed', 'Messages that could not be read',
-                       (), [((), self._state.malformed)])
+                       (), [({}, self._state.malformed)])
 
-    def _is_known(self, row: Row) -> bool:
-        """Tell whether what a row says is of now."""
-        return 'quiet_since' not in row and (row['node'], row['bus']) in self._known
+    def _reports_of_now(self, section: str) -> list[RowReport]:
+        """Return the devices or buses of which what is known is of now."""
+        return [one for one in self._state.reports(section) if 'quiet_since' not in one.row
+                and (one.row['node'], one.row['bus']) in self._known]
 
     def _devices(self) -> Iterator[Metric]:
-        found = [(_labels(one.row, _DEVICE), one) for one in self._state.reports('devices')]
-        fresh = [(labels, one) for labels, one in found if self._is_known(one.row)]
-        asked = [(labels, one) for labels, one in fresh if one.row['level'] != Level.STALE]
-        yield _gauge('device_level', 'Level of a device: 0 ok, 1 warning, 2 error, 3 stale',
-                     _DEVICE, ((labels, float(level_of(one.row))) for labels, one in found))
+        found = self._reports_of_now('devices')
+        asked = [one for one in found if one.row['level'] != Level.STALE]
         yield _gauge('device_connected', 'Whether a device answers', _DEVICE, (
-            (labels, float(one.row['live'])) for labels, one in asked))
+            (one.row, one.row['live']) for one in asked))
         for name, text, scale, read in _DEVICE_GAUGES:
             yield _gauge(f'device_{name}', text, _DEVICE, (
-                (labels, _scaled(rows.finite(read(one)), scale)) for labels, one in asked))
+                (one.row, rows.finite(read(one))) for one in asked), scale)
         for name, text, key in (('answers', 'Answers heard since the start', keys.ANSWERS),
                                 ('missed_answers', 'Answers missed', keys.MISSED_ANSWERS)):
             yield _counter(f'device_{name}', text, _DEVICE, (
-                (labels, rows.finite(self._state.fact(one.row_name, key)))
-                for labels, one in fresh))
+                (one.row, rows.finite(self._state.fact(one.row_name, key))) for one in found))
 
     def _buses(self) -> Iterator[Metric]:
-        found = [(_labels(one.row, _BUS), one.row) for one in self._state.reports('buses')]
-        yield _gauge('bus_level', 'Level of a bus: 0 ok, 1 warning, 2 error, 3 stale', _BUS,
-                     ((labels, float(level_of(row))) for labels, row in found))
-        fresh = [(labels, row) for labels, row in found if self._is_known(row)]
+        found = [one.row for one in self._reports_of_now('buses')]
         for name, text, metric, scale in (
                 ('load_ratio', 'Share of the time in which the wire is used', 'bus_load', 0.01),
                 ('packets_per_second', 'Packets, over 10 s', 'packet_rate', 1.0),
                 ('errors_per_second', 'Damaged packets, over 10 s', 'error_rate', 1.0)):
             yield _gauge(f'bus_{name}', text, _BUS, (
-                (labels, _scaled(self._state.figure(row['node'], row['bus'], metric), scale))
-                for labels, row in fresh))
+                (row, self._state.figure(row['node'], row['bus'], metric)) for row in found),
+                scale)
         yield _counter('bus_packets', 'Packets since the start', _BUS, (
-            (labels, _value(row, 'Packets')) for labels, row in fresh))
+            (row, _value(row, 'Packets')) for row in found))
 
     def _bridges(self) -> Iterator[Metric]:
-        found = [(one.row['robot'][:_LABEL], one.row) for one in self._state.reports('bridge')]
-        yield _gauge('bridge_level', 'Level of a bridge: 0 ok, 1 warning, 2 error, 3 stale',
-                     ('robot', 'part'),
-                     (((robot, row['part'][:_LABEL]), float(level_of(row)))
-                      for robot, row in found))
         for name, text, part, key in (
                 ('frames', 'Frames sent to the MCU', 'link', 'Frames sent'),
                 ('losses', 'How often the port was lost', 'link', 'Losses'),
                 ('commands', 'Commands received', 'commands', keys.COMMANDS_RECEIVED),
                 ('time_outs', 'Stops because no command came', 'commands', 'Time-outs')):
             yield _counter(f'bridge_{name}', text, ('robot',), (
-                ((robot,), _value(row, key)) for robot, row in found
-                if row['part'] == part and 'quiet_since' not in row))
+                (one.row, _value(one.row, key)) for one in self._state.reports('bridge')
+                if one.row['part'] == part and 'quiet_since' not in one.row))
 
     def _findings(self) -> Iterator[Metric]:
-        found = [((*_labels(one.row, ('robot', 'bus')), str(one.row.get('id', '')),
-                   rule[:_LABEL], severity), 1.0)
-                 for kind in ('buses', 'devices') for one in self._state.reports(kind)
-                 if self._is_known(one.row) for rule, _, severity in one.row['findings']]
+        found = [({'id': ''} | one.row | {'rule': rule, 'severity': severity}, 1.0)
+                 for section in ('buses', 'devices') for one in self._reports_of_now(section)
+                 for rule, _, severity in one.row['findings']]
         yield _gauge('finding', 'A finding of the doctor that holds now',
                      ('robot', 'bus', 'id', 'rule', 'severity'), found[:MOST_FINDINGS])
         yield _gauge('findings_left_out', f'Findings beyond {MOST_FINDINGS}, which have no series',
-                     (), [((), float(max(0, len(found) - MOST_FINDINGS)))])
-
-
-def _labels(row: Row, names: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(str(row[name])[:_LABEL] for name in names)
+                     (), [({}, max(0, len(found) - MOST_FINDINGS))])
 
 
 def _value(row: Row, key: str) -> float | None:
     return rows.finite(dict(row['values']).get(key, ''))
 
 
-def _scaled(value: float | None, scale: float) -> float | None:
-    return None if value is None else value * scale
-
-
-_Samples = Iterable[tuple[tuple[str, ...], float | None]]
-
-
 def _family(kind: type[GaugeMetricFamily | CounterMetricFamily], name: str, text: str,
-            labels: tuple[str, ...], samples: _Samples) -> Metric:
+            labels: Sequence[str], samples: Iterable[tuple[Row, float | None]],
+            scale: float = 1.0) -> Metric:
     """Return the samples that are known; two devices of the same labels count once."""
     family = kind(f'mecarover_{name}', text, labels=labels)
-    for values, value in dict(samples).items():
+    known = {tuple(str(row[label])[:_LABEL] for label in labels): value for row, value in samples}
+    for values, value in known.items():
         if value is not None:
-            family.add_metric(values, value)
+            family.add_metric(values, float(value) * scale)
     return family
 
 

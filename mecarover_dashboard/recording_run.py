@@ -45,8 +45,7 @@ class RecordingRun(SourceRun):
     """
 
     def __init__(self, tool: str, options: argparse.Namespace, feed: Feed, at_once: bool) -> None:
-        super().__init__(options, options.source[0], feed)
-        self._tool = tool
+        super().__init__(tool, options, options.source[0], feed)
         self._at_once = at_once
         self._is_on = True
         self._wanted_s: float | None = None
@@ -107,9 +106,11 @@ class RecordingRun(SourceRun):
                 self._again(self._now)
             if wanted_s is not None:
                 self._go(self._first + int(wanted_s * S))
-            elif self._is_on and not is_new:
+            if is_new or wanted_s is not None:
+                now_s = time.monotonic()            # that took some time
+            elif self._is_on:
                 self._forward(END if self._at_once else self._now + int((now_s - last_s) * S))
-            last_s = now_s if wanted_s is None and not is_new else time.monotonic()
+            last_s = now_s
             yield self._now
             time.sleep(TURN_S)
 

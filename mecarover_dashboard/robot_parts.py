@@ -100,15 +100,12 @@ class RobotPart(NamedTuple):
 def parts_of(devices: Iterable[Row], buses: Iterable[Row],
              bridge: Iterable[Row]) -> list[RobotPart]:
     """Return the parts of all robots, the worst first."""
-    rows: dict[tuple[str, str], list[Row]] = {}
-    own: dict[tuple[str, str], Row] = {}
-    for row in buses:
-        own[row['node'], row['bus']] = row
-        rows[row['node'], row['bus']] = []
+    own = {(row['node'], row['bus']): row for row in buses}
+    rows: dict[tuple[str, str], list[Row]] = {place: [] for place in own}
     for row in devices:
         rows.setdefault((row['node'], row['bus']), []).append(row)
-    found = [_bus(node, bus, own.get((node, bus)), sorted(some, key=lambda one: int(one['id'])))
-             for (node, bus), some in rows.items()]
+    found = [_bus(*place, own.get(place), sorted(some, key=lambda one: int(one['id'])))
+             for place, some in rows.items()]
     bridges: dict[str, dict[str, Row]] = {}
     for row in bridge:
         bridges.setdefault(row['node'], {})[row['part']] = row
@@ -142,8 +139,15 @@ class _Problem(NamedTuple):
 
 def _bus(node: str, bus: str, row: Row | None, devices: list[Row]) -> RobotPart:
     live = sum(bool(one['live']) for one in devices)
-    level, found = _judged(node, row, devices, live)
     message = '' if row is None else str(row['message'])
+    since = _since(row, devices)
+    if since is not None:
+        level, found = Level.STALE, [_Problem(
+            NO_REPORT, f'No report from {node}: nothing is known of its {_counted(devices)}')]
+    elif row is not None and not row['live']:
+        level, found = Level.ERROR, [_Problem(PORT_CLOSED, message)]
+    else:
+        level, found = _judged(Level.OK if row is None else level_of(row), message, devices, live)
     mark = _mark(found)
     return RobotPart(
         status_name(node, f'bus {bus}'.strip()), (row or devices[0])['robot'], node, bus, level,
@@ -151,8 +155,7 @@ def _bus(node: str, bus: str, row: Row | None, devices: list[Row]) -> RobotPart:
         f'{bus}: {mark}' if bus and mark else mark,
         '; '.join(one.text for one in found) or _well(devices, message),
         tuple(device['id'] for one in found for device in one.devices),
-        next((one.text for one in found if not one.devices), ''),
-        _since(row, devices), live, len(devices))
+        next((one.text for one in found if not one.devices), ''), since, live, len(devices))
 
 
 def _mark(found: list[_Problem]) -> str:
@@ -166,15 +169,9 @@ def _mark(found: list[_Problem]) -> str:
         if word in counted else word for word, number in count.items())
 
 
-def _judged(node: str, row: Row | None, devices: list[Row],
+def _judged(of_all: Level, message: str, devices: list[Row],
             live: int) -> tuple[Level, list[_Problem]]:
-    """Return the level of a bus, and what is wrong: with it as a whole first."""
-    of_all = Level.OK if row is None else level_of(row)
-    message = '' if row is None else str(row['message'])
-    if _since(row, devices) is not None:
-        return Level.STALE, [_Problem(NO_REPORT, _not_reported(node, len(devices)))]
-    if row is not None and not row['live']:
-        return Level.ERROR, [_Problem(PORT_CLOSED, message)]
+    """Return the level of a bus that is heard, and what is wrong: with it as a whole first."""
     worst_device = worst(map(level_of, devices))
     level = worst((worst_device, of_all))
     if level is Level.OK:
@@ -207,9 +204,11 @@ def _well(devices: list[Row], message: str) -> str:
         return f'{device_name(notes[0])}: {notes[0]["message"]}'
     if notes:
         return message
-    count = len(devices)
-    return f'All {count} device{"s" if count != 1 else ""} connected' if count \
-        else 'No device found yet'
+    return f'All {_counted(devices)} connected' if devices else 'No device found yet'
+
+
+def _counted(devices: list[Row]) -> str:
+    return f'{len(devices)} device{"s" if len(devices) != 1 else ""}'
 
 
 def _bridge(node: str, rows: dict[str, Row]) -> RobotPart:
@@ -233,14 +232,8 @@ def _since(row: Row | None, devices: list[Row]) -> float | None:
     """Return when a bus was reported last, None while it is."""
     if row is not None:
         return row.get('quiet_since')
-    quiet = [one.get('quiet_since') for one in devices]
-    return max((one for one in quiet if one is not None), default=None) \
-        if all(one is not None for one in quiet) else None
-
-
-def _not_reported(node: str, count: int) -> str:
-    devices = f'{count} device{"s" if count != 1 else ""}'
-    return f'No report from {node}: nothing is known of its {devices}'
+    times = [one['quiet_since'] for one in devices if 'quiet_since' in one]
+    return max(times) if len(times) == len(devices) else None
 
 
 def _names(some: list[Row]) -> str:

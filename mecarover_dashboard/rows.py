@@ -168,8 +168,6 @@ def _bus(status: AnyStatus, rest: str) -> Row:
         'live': _is_open(pairs),
         'values': [pair for pair in pairs
                    if not pair[0].startswith(_LISTED) and pair[0] not in _ASIDE],
-        'running': finite(dict(pairs).get(keys.RUNNING, '')),
-        'errors': [value for key, value in pairs if key.startswith(keys.ERROR)],
         'findings': _findings(pairs),
         'doubts': _findings(pairs, keys.DOUBT),
     }
@@ -197,13 +195,14 @@ def _findings(pairs: Pairs,
             for rule, text in found]
 
 
-def date(bus: Row, arrived_s: float, before: Row) -> Row:
-    """Return the row of a bus with its errors as (monotonic s or None, text)."""
-    started_s = None
-    if bus['running'] is not None:
-        started_s = _steady(arrived_s - bus['running'], before.get('started'))
-    return bus | {'running': None, 'started': started_s,
-                  'errors': [_dated(line, started_s) for line in bus['errors']]}
+def errors(status: AnyStatus, arrived_s: float, before: Row) -> Row:
+    """Return what the row of a bus has of its errors, each as (monotonic s or None, text)."""
+    pairs = status.pairs()
+    running_s = finite(dict(pairs).get(keys.RUNNING, ''))
+    started_s = None if running_s is None else _steady(
+        arrived_s - running_s, before.get('started'))
+    return {'started': started_s, 'errors': [
+        _dated(value, started_s) for key, value in pairs if key.startswith(keys.ERROR)]}
 
 
 def _dated(line: str, started_s: float | None) -> tuple[float | None, str]:

@@ -18,7 +18,7 @@ import time
 from mecarover_dashboard.feed import Feed
 from msg_defs.event import Chunk
 from servobus.bus.report import BusReport
-from servobus.doctor.case import OPTIONS
+from servobus.doctor import OPTIONS
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 from servobus.monitored_bus import MonitoredBus
@@ -65,8 +65,9 @@ class SourceRun:
 
     is_timed = True
 
-    def __init__(self, options: argparse.Namespace, words: str, feed: Feed) -> None:
+    def __init__(self, tool: str, options: argparse.Namespace, words: str, feed: Feed) -> None:
         self.words = words
+        self._tool = tool
         self._options = options
         self._feed = feed
         self._models = models_of(options)
@@ -112,8 +113,7 @@ class PortsRun(SourceRun):
     """Ports of this machine, until Ctrl-C; one that is lost is opened again."""
 
     def __init__(self, tool: str, options: argparse.Namespace, feed: Feed) -> None:
-        super().__init__(options, ', '.join(options.source), feed)
-        self._tool = tool
+        super().__init__(tool, options, ', '.join(options.source), feed)
         given = {'ports': options.source, 'devices': options.devices,
                  'protocols': [options.protocol],
                  'bauds': [rate_of(name, options.baud) for name in options.source]}
@@ -148,9 +148,8 @@ class ProgramRun(SourceRun):
 
     def __init__(self, tool: str, command: Sequence[str], options: argparse.Namespace,
                  feed: Feed) -> None:
-        super().__init__(options, shlex.join(command), feed)
+        super().__init__(tool, options, shlex.join(command), feed)
         self._command = command
-        self._tool = tool
         self._known = time.monotonic_ns()
 
     def start(self) -> None:

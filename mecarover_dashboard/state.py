@@ -20,15 +20,16 @@ from typing import NamedTuple
 from mecarover_dashboard import rows
 from mecarover_dashboard.cdr import AnyStatus
 from mecarover_dashboard.cdr import CdrError
-from mecarover_dashboard.cdr import handed
 from mecarover_dashboard.cdr import HandedStatus
 from mecarover_dashboard.cdr import statuses
+from mecarover_dashboard.cdr import TEXT_LIMIT
 from mecarover_dashboard.robot_parts import parts_of
 from mecarover_dashboard.robot_parts import RobotPart
 from mecarover_dashboard.rows import RegisterTable
 from mecarover_dashboard.rows import Row
 from msg_defs.reports import Status
 from msg_defs.reports import status_name
+from servobus.plain import printable
 
 TABLES = 'dxl/diagnostics'
 OVERVIEW = '/diagnostics'
@@ -46,7 +47,7 @@ _ROW = 2000                  # about what a row takes in itself, and in the list
 _PAIR = 200                  # ... and each of its pairs, besides their bytes
 _POINTS = 60_000             # ... and its history
 
-_ONLY_LONG: Row = {'errors': [], 'running': None, 'started': None}
+_ONLY_LONG: Row = {'errors': [], 'started': None}
 
 Point = list[float | None]
 Message = bytes | Sequence[Status]
@@ -86,8 +87,7 @@ class State:
     def __init__(self, namespace: str = '') -> None:
         self.namespace = namespace
         self.version = 0
-        self.messages: dict[str, int] = dict.fromkeys(TOPICS, 0)
-        self.arrived: dict[str, float] = {}         # by topic
+        self._messages = dict.fromkeys(TOPICS, (0, 0.0))    # how many, when the last one came
         self.malformed = 0
         self.refused = 0                            # what would be too much to keep
         self.bytes = 0                              # about, of all that is kept
@@ -107,37 +107,38 @@ class State:
         found: Sequence[AnyStatus]
         try:
             found = statuses(message) if isinstance(message, bytes) else [
-                HandedStatus(one.level, handed(one.name), handed(one.message),
-                             handed(one.hardware_id), one.values) for one in message]
+                HandedStatus(one.level, printable(one.name, TEXT_LIMIT),
+                             printable(one.message, TEXT_LIMIT),
+                             printable(one.hardware_id, TEXT_LIMIT), one.values)
+                for one in message]
         except CdrError:
             self.malformed += 1
             return
-        self.messages[topic] += 1
-        self.arrived[topic] = now_s
+        self._messages[topic] = self._messages[topic][0] + 1, now_s
         self.version += 1
         if self._is_full(_ROW + 2 * _POINTS):
             self._forget_the_silent(now_s)
         for status in found if topic != OVERVIEW else filter(self._is_ours, found):
             section = rows.section(status)
-            if section == 'timing' and self._is_of_device(status):
-                self._store_latency(status, now_s)
+            if section == 'timing' and (device := self._device_of(status)):
+                self._store_latency(device, status, now_s)
             elif section:
                 self._store_status(topic, section, status, now_s)
 
     def _is_ours(self, status: AnyStatus) -> bool:
         return not self.namespace or status.name.startswith(f'{self.namespace}/')
 
-    def _is_of_device(self, status: AnyStatus) -> bool:
-        of = rows.metric_of(status)
-        bus = f'{rows.split_name(status.name)[0]}: bus {of}'
-        return rows.is_device(of) and bus not in self._entries['buses']
+    def _device_of(self, status: AnyStatus) -> str:
+        """Return the name of the device that a timing status is about, '' if it is none."""
+        node, of = rows.split_name(status.name)[0], rows.metric_of(status)
+        is_device = rows.is_device(of) and f'{node}: bus {of}' not in self._entries['buses']
+        return f'{node}: {of}' if is_device else ''
 
-    def _store_latency(self, status: AnyStatus, now_s: float) -> None:
-        name = f'{rows.split_name(status.name)[0]}: {rows.metric_of(status)}'
+    def _store_latency(self, name: str, status: AnyStatus, now_s: float) -> None:
         if name in self._entries['devices']:
             points = self._latencies.get(name)
             if points is None:
-                if self.bytes + _POINTS > MOST_BYTES:
+                if self._is_full(_POINTS, is_row=False):
                     self.refused += 1
                     return
                 self.bytes += _POINTS
@@ -148,11 +149,11 @@ class State:
         entry = self._entry(section, status)
         if entry is None:
             return
-        if not entry.arrived:
-            self.grown_s = now_s
         row = rows.row(section, status)
         if entry.arrived:
             entry.period_s = max(now_s - entry.arrived, entry.period_s / 2)
+        else:
+            self.grown_s = now_s
         entry.arrived = self._heard[row['node']] = now_s
         if section == 'devices' and (topic == TABLES or entry.whole is None
                                      or now_s - entry.whole_arrived > TABLE_S):
@@ -160,9 +161,9 @@ class State:
             if topic == TABLES:
                 entry.values = rows.values(status)
         if section == 'buses':
-            row = (rows.date(row, now_s, entry.row) if topic == TABLES
-                   else row | {name: entry.row.get(name, empty)     # the short form has none
-                               for name, empty in _ONLY_LONG.items()})
+            row |= rows.errors(status, now_s, entry.row) if topic == TABLES else {
+                name: entry.row.get(name, empty)        # the short form has none
+                for name, empty in _ONLY_LONG.items()}
         if section == 'timing':
             entry.points.append((self.version, [round(now_s, 2), *rows.figures(row['values'])]))
         if row != entry.row or section == 'timing':
@@ -170,26 +171,21 @@ class State:
 
     def _entry(self, section: str, status: AnyStatus) -> _Row | None:
         """Return the row of a status, None where there is no room for it."""
-        entries = self._entries[section]
-        entry = entries.get(status.name)
-        cost = _cost(section, status)
-        old = 0 if entry is None else entry.cost
-        if status.size > MOST_OF_STATUS or (
-                self._is_full(cost) if entry is None
-                else cost > old and self.bytes + cost - old > MOST_BYTES):
+        entry = self._entries[section].get(status.name) or _Row()
+        # A short form does not take the room of the table that is kept with it.
+        more = max(0, _cost(section, status) - entry.cost)
+        if status.size > MOST_OF_STATUS or self._is_full(more, is_row=not entry.cost):
             self.refused += 1
             return None
-        if entry is None:
-            entry = entries[status.name] = _Row()
-        # A short form does not take the room of the table that is kept with it.
-        entry.cost = max(old, cost)
-        self.bytes += entry.cost - old
+        self._entries[section][status.name] = entry
+        entry.cost += more
+        self.bytes += more
         return entry
 
-    def _is_full(self, more: int) -> bool:
-        """Tell whether one more row of so many bytes is too much."""
-        return (self.bytes + more > MOST_BYTES
-                or sum(map(len, self._entries.values())) >= MOST_ROWS)
+    def _is_full(self, more: int, is_row: bool = True) -> bool:
+        """Tell whether so many more bytes, for one more row or not, are too much."""
+        return self.bytes + more > MOST_BYTES or (
+            is_row and sum(map(len, self._entries.values())) >= MOST_ROWS)
 
     def _forget_the_silent(self, now_s: float) -> None:
         """Make room: drop what was not reported for long, whether its node lives or not."""
@@ -295,8 +291,8 @@ class State:
 
     def topics(self, now_s: float) -> dict[str, Any]:
         """Return by topic how many messages came, and how long ago the last one, in s."""
-        return {topic: [count, round(now_s - self.arrived[topic], 1) if count else None]
-                for topic, count in self.messages.items()}
+        return {topic: [count, round(now_s - at_s, 1) if count else None]
+                for topic, (count, at_s) in self._messages.items()}
 
 
 def _cost(section: str, status: AnyStatus) -> int:

@@ -47,10 +47,8 @@ def status_lines(state: State, now_s: float,
     every_device: also those that are well; None: no device.
     """
     state.expire(now_s)
-    found = [StatusLine(line.level, printable(line.robot, 40), printable(line.what, 60),
-                        printable(line.message))
-             for line in _lines(state, now_s, every_device)]
-    found.sort(key=lambda line: line.robot)
+    found = sorted((line._replace(robot=printable(line.robot, 40), what=printable(line.what, 60))
+                    for line in _lines(state, now_s, every_device)), key=lambda line: line.robot)
     robots = [sorted(some, key=_urgency) for _, some in groupby(found, lambda line: line.robot)]
     return [line for some in sorted(robots, key=lambda some: _urgency(some[0])) for line in some]
 
@@ -98,7 +96,7 @@ def _device_line(report: RowReport, now_s: float) -> DeviceLine:
     name = '/'.join(filter(None, (row['robot'], rows.split_name(report.row_name)[1])))
     return DeviceLine(level_of(row), printable(name, 40), (
         rows.calm(values.position, 3), values.temperature, rows.calm(values.voltage, 3), load,
-        '' if 'quiet_since' in row else row['loss']), printable(_message(row, now_s)))
+        '' if 'quiet_since' in row else row['loss']), _message(row, now_s))
 
 
 def _message(row: rows.Row, now_s: float) -> str:

@@ -139,7 +139,8 @@ class Server:
         self._texts: dict[int, str] = {}        # changes since a version, of the version now
         self._scraped: tuple[str, float, bytes, str] | None = None  # what /metrics said last
         self._watched: dict[int, str] = {}      # by client
-        self._thread = threading.Thread(target=self._run, name='dashboard', daemon=True)
+        self._thread = threading.Thread(
+            target=lambda: asyncio.run(self._serve()), name='dashboard', daemon=True)
         self._ready = threading.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._ended: asyncio.Event
@@ -194,9 +195,6 @@ class Server:
         self._publishers = counts
 
     # In the thread.
-
-    def _run(self) -> None:
-        asyncio.run(self._serve())
 
     async def _serve(self) -> None:
         self._ended, self._haste, self._pushed = (asyncio.Event() for _ in range(3))
@@ -266,13 +264,15 @@ class Server:
         """Take in what has come, and let the clients' tasks send what changed."""
         state, now_s = self._state, time.monotonic()
         before = state.version
-        while waiting := self._next_message():
-            if waiting[0] == _RESTART:
+        with self._inbox_lock:
+            inbox, self._inbox, self._inbox_bytes = self._inbox, deque(), 0
+        for topic, message, arrived_s in inbox:
+            if topic == _RESTART:
                 before, state = -1, State(state.namespace)
                 self._state, self._boot = state, secrets.token_hex(4)
                 self._facts['boot'] = self._boot
             else:
-                state.store_message(*waiting)
+                state.store_message(topic, message, arrived_s)
         state.expire(now_s)
         self._signals.forget(now_s)
         self._reported.sample_state(state)
@@ -283,14 +283,6 @@ class Server:
             state.keep_tables(set(self._watched.values()))
             self._pushed.set()
             self._pushed = asyncio.Event()
-
-    def _next_message(self) -> tuple[str, Message, float] | None:
-        """Take the oldest message out of the inbox."""
-        with self._inbox_lock:
-            if not self._inbox:
-                return None
-            self._inbox_bytes -= len(self._inbox[0][1])
-            return self._inbox.popleft()
 
     async def _events(self, request: web.Request) -> web.StreamResponse:
         if len(self._watched) >= MOST_CLIENTS:

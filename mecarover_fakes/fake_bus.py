@@ -10,15 +10,19 @@ a copy of everything on the tap.
 from __future__ import annotations
 
 import argparse
+from contextlib import ExitStack
 import json
 import sys
 import time
 
 from mecarover_fakes.dxl1_servo import Servo1
 from mecarover_fakes.fake_options import add_options
-from mecarover_fakes.fake_options import parse_away
+from mecarover_fakes.fake_options import hold_signals
+from mecarover_fakes.fake_options import one_signal
+from mecarover_fakes.fake_options import parse_options
 from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.fake_servo import FakeDevice
+from mecarover_fakes.fault_control import commands_from
 from mecarover_fakes.faults import KINDS
 from mecarover_fakes.faults import parse as parse_fault
 from mecarover_fakes.line import Line
@@ -38,6 +42,7 @@ from servobus.port.pty import outlive
 from servobus.settings import check_models
 from servobus.settings import load_models
 from servobus.tools.cli import run_tool
+from servobus.tools.command_line import baud_rate
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
 
@@ -82,7 +87,7 @@ def make_devices(entries: list[str], models: Models, baud: int, *,
 
 
 def _run(arguments: list[str]) -> int:
-    options = _parser().parse_args(arguments)
+    options = parse_options(_parser(), arguments)
     if options.list_faults:
         for name, kind in KINDS.items():
             print(f'{name:13} {kind.__doc__}')
@@ -97,15 +102,21 @@ def _run(arguments: list[str]) -> int:
     master = Master(line, PATTERNS[pattern], rate=options.rate, seed=options.seed,
                     faults=[parse_fault(text) for text in options.fault],
                     started=options.mid_traffic, patience=round(options.patience * 1e6))
+    hold_signals()
     usb = VirtualUsb(options.usbmon, options.adapter, options.baud) if options.usbmon else None
     bus = FakeBus(master, link=options.link, tap=options.tap or False,
-                  away=parse_away(options.vanish), usb=usb)
-    print(f'fake_bus: {options.link or bus.path}, {options.baud} baud, {len(devices)} devices, '
-          f'pattern {pattern}' + (f', tap {options.tap}' if options.tap else ''), flush=True)
+                  away=options.vanish, usb=usb)
+    tapped = f', tap {options.tap}' if options.tap else ''
     try:
-        bus.start(options.seconds)
-        while bus.is_running:
-            time.sleep(WAIT_S)      # not join: interrupted, it takes the thread for ended
+        with ExitStack() as stack:
+            if options.control:
+                stack.enter_context(commands_from(options.control, bus.command))
+            print(f'fake_bus: {options.link or bus.path}, {options.baud} baud, {len(devices)} '
+                  f'devices, pattern {pattern}{tapped}', flush=True)
+            bus.start(options.seconds)
+            stack.enter_context(one_signal())
+            while bus.is_running:
+                time.sleep(WAIT_S)  # not join: interrupted, it takes the thread for ended
     except KeyboardInterrupt:
         if options.outlive:
             outlive(bus.path)
@@ -156,7 +167,7 @@ def _parser() -> Parser:
         'adapter; listen with usb:PATH')
     add('--adapter', choices=FAMILIES, default='ftdi', metavar='KIND',
         help=f"kind of adapter that --usbmon shows: {', '.join(FAMILIES)} (default %(default)s)")
-    add('-b', '--baud', type=number(int, 1),
+    add('-b', '--baud', type=number(baud_rate, 1),
         help='baud rate (default 2000000, with the other dialects 1000000)')
     add('--dialect', '--protocol', choices=PROTOCOLS, default='2',
         type=lambda text: 'dxl1' if text == '1' else text, help='2: Dynamixel Protocol 2.0, dxl1 '
@@ -171,6 +182,8 @@ def _parser() -> Parser:
         help='cycles per second, 0: without a pause (default %(default)g)')
     add('--fault', action='append', default=[], metavar='NAME[:id[:at_s[:for_s]]]',
         help='simulate a fault; repeat it for more')
+    add('--control', metavar='SOCKET', help="lines there begin a fault ('silent:5') or end faults "
+        "('back'); -: standard input")
     add('--list-faults', action='store_true', help='list the faults and exit')
     add('--mid-traffic', action='store_true', help='begin without Pings and without switching the '
         'torque on')

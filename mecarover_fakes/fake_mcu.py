@@ -17,7 +17,9 @@ import time
 
 from mecarover_fakes.fake_options import add_options
 from mecarover_fakes.fake_options import Away
-from mecarover_fakes.fake_options import parse_away
+from mecarover_fakes.fake_options import hold_signals
+from mecarover_fakes.fake_options import one_signal
+from mecarover_fakes.fake_options import parse_options
 from mecarover_fakes.guarded_receiver import GuardedReceiver
 from mecarover_fakes.receiver import BadCable
 from mecarover_fakes.receiver import Receiver
@@ -28,8 +30,8 @@ from msg_defs.crc import crc32_mpeg2
 from msg_defs.crc import CRC_INPUTS
 from msg_defs.vel2d import FRAME_SIZE
 from servobus.port.pty import outlive
-from servobus.port.readable import readable
 from servobus.tools.cli import run_tool
+from servobus.tools.command_line import baud_rate
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
 
@@ -62,7 +64,7 @@ class FakeMcu:
 
     def pump(self, timeout_s: float) -> list[SetPoint]:
         """Wait for bytes, at most so long, and return the set-points taken until now."""
-        readable([self._uart.fd] * self._uart.is_plugged_in, timeout_s)
+        self._uart.wait(timeout_s)
         self._receive(self._uart.read(_READ_SIZE))
         self._read = self._clock()
         taken = self.receiver.advance(self._read)
@@ -110,16 +112,17 @@ def main() -> int:
 
 
 def _main(arguments: list[str]) -> int:
-    options = _parser().parse_args(arguments)
-    away = parse_away(options.vanish)
+    options = parse_options(_parser(), arguments)
     cable = BadCable(drop=options.drop, flip=options.flip, deaf_after=options.deaf_after,
                      seed=options.seed)
+    hold_signals()
     mcu = FakeMcu(options.link, baud=options.baud, crc=CRC_INPUTS[options.crc_input], cable=cable,
                   talks=not options.silent, watchdog=options.watchdog)
     printer = _Printer(mcu, as_json=options.json, frames=options.frames)
-    printer.begin(options.baud, options.crc_input)
     try:
-        _serve(mcu, printer, options.seconds, away)
+        with one_signal():
+            printer.begin(options.baud, options.crc_input)
+            _serve(mcu, printer, options.seconds, options.vanish)
     except KeyboardInterrupt:
         if options.outlive:
             outlive(mcu.path, lambda seconds: printer.show(mcu.pump(seconds)))
@@ -137,7 +140,7 @@ def _serve(mcu: FakeMcu, printer: _Printer, seconds: float | None,
     while seconds is None or time.monotonic() - begin < seconds:
         printer.show(mcu.pump(_PUMP_S))
         if away is not None:
-            is_away = away.after <= time.monotonic() - begin < sum(away)
+            is_away = away.covers(time.monotonic() - begin)
             (mcu.vanish if is_away else mcu.come_back)()
 
 
@@ -187,7 +190,7 @@ def _parser() -> Parser:
         'set-points that it takes.')
     add_options(parser)
     add, count = parser.add_argument, number(int, 0)
-    add('-b', '--baud', type=number(int, 1), default=115200,
+    add('-b', '--baud', type=number(baud_rate, 1), default=115200,
         help='baud rate of the simulated line (default %(default)s)')
     add('--crc-input', choices=sorted(CRC_INPUTS), default='bytes',
         help='how the CRC unit is fed (default %(default)s)')

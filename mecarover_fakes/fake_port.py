@@ -26,7 +26,6 @@ from mecarover_fakes.traffic import none
 from mecarover_fakes.virtual_uart import VirtualUart
 from mecarover_fakes.virtual_usb import VirtualUsb
 from msg_defs.frame import is_good
-from servobus.port.readable import readable
 
 S = 1_000_000_000
 TICK_NS = 200_000                # shortest time between two writes, longest is
@@ -87,6 +86,10 @@ class FakeBus:
         if self._usb is not None:
             self._usb.close()
 
+    def command(self, text: str) -> None:
+        """Begin a fault ('silent:3') or end faults ('back'); ParameterError for something else."""
+        self.master.command(text, self._now())
+
     def totals(self) -> dict[str, Any]:
         """Return the counters of both ends."""
         return {name: end.totals() for name, end in self._ends.items()} \
@@ -114,14 +117,13 @@ class FakeBus:
     def _sleep(self, wait_ns: int) -> None:
         """Wait so long, or until a real master writes; what is written to our own is dropped."""
         whole_ms, rest_ns = divmod(wait_ns, S // 1000)
-        if not readable([self.outlet.fd] * self.outlet.is_plugged_in, whole_ms / 1000):
+        if not self.outlet.wait(whole_ms / 1000):
             time.sleep(rest_ns / S)
         if self._has_own_master:
             self.outlet.read()
         if self._away is not None:
-            begin, end = self._away.after * S, sum(self._away) * S
             for one in self._ends.values():
-                one.plug(plugged_in=not begin <= self._now() < end)
+                one.plug(plugged_in=not self._away.covers(self._now() / S))
 
     def _play(self, bursts: Iterator[Burst]) -> None:
         baud = self.master.line.baud

@@ -29,6 +29,7 @@ from mecarover_fakes.values import TEMPERATURE
 from mecarover_fakes.values import VOLTAGE
 from msg_defs.dxl_instruction import ALERT
 from msg_defs.dxl_instruction import BACKUP_OPTIONS
+from msg_defs.dxl_instruction import CLEAR_KEYS
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import RESTORE
 from msg_defs.dxl_instruction import STORE
@@ -38,7 +39,7 @@ from servobus.model.control_table import Model
 BOOT_NS = 200_000_000            # deaf after a start
 WATCHDOG_UNIT_NS = 20_000_000
 
-_CLEAR_KEYS = (b'\x01DXL"', b'\x01ERCL', b'\x02ERCL')     # P1 of Error Clear: sources disagree
+_KEPT_BY_RESET = {b'\xff': (), b'\x01': ('ID',), b'\x02': ('ID', 'Baud Rate')}
 
 
 class Reply(NamedTuple):
@@ -157,14 +158,11 @@ class FakeDevice(Registers):
 
     def read(self, address: int, length: int, now: int) -> Reply:
         """Return the registers from `address` on."""
-        end = address + length
-        if not self.is_readable(address, end):
+        if not self.is_readable(address, address + length):
             return Reply(ACCESS)
-        self._refresh(address, end, now)
-        if self.redirects(address, end):
-            self._refresh(0, len(self.image), now)
-            return Reply(OK, bytes(self.image[self.resolve(at)] for at in range(address, end)))
-        return Reply(OK, bytes(self.image[address:end]))
+        places = [self.resolve(at) for at in range(address, address + length)]
+        self._refresh(set(places), now)
+        return Reply(OK, bytes(self.image[at] for at in places))
 
     def write(self, address: int, data: bytes, now: int) -> Reply:
         """Write registers; all or nothing."""
@@ -176,11 +174,10 @@ class FakeDevice(Registers):
             self._after_write(address, address + len(data), was_torque, angle)
         return Reply(error)
 
-    def _refresh(self, address: int, end: int, now: int) -> None:
-        state = None
+    def _refresh(self, places: set[int], now: int) -> None:
+        state = self._state(now)
         for first, last, value in self._live:
-            if first < end and last > address:
-                state = state or self._state(now)
+            if not places.isdisjoint(range(first, last)):
                 self.image[first:last] = value(state)
 
     def _state(self, now: int) -> LiveState:
@@ -202,9 +199,8 @@ class FakeDevice(Registers):
             self.rest_angle = angle
 
     def _follow_address(self, address: int = 0, end: int = sys.maxsize) -> None:
-        """Follow ID and Baud Rate where they are in this range of registers."""
-        if self._written('ID', address, end):
-            self.id = self.get('ID')
+        """Follow ID, and Baud Rate where it is in this range of registers."""
+        self.id = self.get('ID', self.id)
         for name in ('Baud Rate', 'Baud Rate (Bus)'):
             if self._written(name, address, end):
                 self.baud = self.baud_codes.get(self.get(name), self.baud)
@@ -243,14 +239,13 @@ class FakeDevice(Registers):
         return self.write(address, data, now)
 
     def _on_factory_reset(self, params: bytes, now: int) -> Reply:
-        if params[:1] not in (b'\xff', b'\x01', b'\x02'):
+        names = _KEPT_BY_RESET.get(params[:1])
+        if names is None:
             return Reply(INSTRUCTION)
-        number, code = self.id, self.get('Baud Rate')
+        kept = {name: self.get(name) for name in names}
         self.image[:] = self.factory
-        if params[0] != 0xFF:
-            self.set('ID', number)
-        if params[0] == 0x02:
-            self.set('Baud Rate', code)
+        for name, raw in kept.items():
+            self.set(name, raw)
         self._follow_address()
         self.restart(now)
         return Reply(OK)
@@ -260,7 +255,7 @@ class FakeDevice(Registers):
         return Reply(OK)
 
     def _on_clear(self, params: bytes, now: int) -> Reply:
-        return Reply(OK if params in _CLEAR_KEYS and not self.torque else RESULT_FAIL)
+        return Reply(OK if params[1:] in CLEAR_KEYS and not self.torque else RESULT_FAIL)
 
     def _on_backup(self, params: bytes, now: int) -> Reply:
         option = BACKUP_OPTIONS.get(params)

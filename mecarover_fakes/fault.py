@@ -65,22 +65,18 @@ class Effect:
     """
     What one fault does; every hook does nothing by default.
 
-    cause: number of the field problem that it plays, as in docs/doctor.md (0: none of them); a
-    class without one is no fault by itself. protocols: in which it can happen. The line
-    of documentation is for the user, too.
+    protocols: in which it can happen. The line of documentation is for the user, too.
     """
 
     kinds: ClassVar[dict[str, type[Effect]]] = {}    # by name
-    cause: ClassVar[int | None]
-    protocols: ClassVar[tuple[str, ...]]
+    protocols: ClassVar[tuple[str, ...]] = ALL
     every: ClassVar[int] = 1         # cycles from one ask() to the next; 0: it comes once
     now = 0
+    cycle = 0
 
-    def __init_subclass__(cls, cause: int | None = None, protocols: tuple[str, ...] = ALL,
-                          name: str = '') -> None:
-        cls.cause, cls.protocols = cause, protocols
-        if cause is not None:
-            cls.kinds[name or re.sub('(?<=.)(?=[A-Z])', '_', cls.__name__).lower()] = cls
+    def __init_subclass__(cls, *, is_fault: bool = True) -> None:
+        if is_fault:
+            cls.kinds[re.sub('(?<=.)(?=[A-Z])', '_', cls.__name__).lower()] = cls
 
     def __init__(self, fault: Fault, scope: FaultScope) -> None:
         self.fault = fault
@@ -114,9 +110,10 @@ class Effect:
         if cycle % self.every if self.every else self.has_asked:
             return ()
         self.has_asked = True
-        return self.ask(cycle)
+        self.cycle = cycle
+        return self.ask()
 
-    def ask(self, cycle: int) -> Asks:
+    def ask(self) -> Asks:
         """Return what the master asks besides, in a cycle in which it does."""
         return ()
 

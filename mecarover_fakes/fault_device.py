@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import math
+
 from mecarover_fakes.fake_servo import FakeDevice
 from mecarover_fakes.fault import Effect
 from mecarover_fakes.fault import MS
@@ -28,7 +30,7 @@ WATCHDOG = 5                     # units of 20 ms
 OLD_FIRMWARE = 40
 
 
-class Silent(Effect, cause=1):
+class Silent(Effect):
     """The device hears and says nothing."""
 
     def play(self) -> Play:
@@ -44,14 +46,14 @@ class Silent(Effect, cause=1):
         return [self.device]
 
 
-class Cable(Silent, cause=1):
+class Cable(Silent):
     """The cable to the device is broken: it and everything downstream are gone."""
 
     def affected(self) -> list[FakeDevice]:
         return self.line.chain[self.line.chain.index(self.device):]
 
 
-class Duplicate(Effect, cause=3):
+class Duplicate(Effect):
     """A second device with the same ID, on its own return delay and perhaps another model."""
 
     def play(self) -> Play:
@@ -69,7 +71,7 @@ class Duplicate(Effect, cause=3):
         self.twin.set('Return Delay Time', self.rng.choice((5, FACTORY_DELAY)))
 
 
-class Reboot(Effect, cause=9):
+class Reboot(Effect):
     """The device starts again by itself."""
 
     def play(self) -> Play:
@@ -78,24 +80,24 @@ class Reboot(Effect, cause=9):
         yield
 
 
-class Brownout(Effect, cause=9):
+class Brownout(Effect):
     """The supply sags, then the device starts again."""
 
     def play(self) -> Play:
-        self._low_until: int | None = self.now + DIP_NS
+        self._low_until: float = self.now + DIP_NS
         for device in self.devices:
             device.voltage = VOLTAGE * 0.7
         yield
 
     def step(self) -> None:
-        if self._low_until is not None and self.now >= self._low_until:
-            self._low_until = None
+        if self.now >= self._low_until:
+            self._low_until = math.inf
             for device in self.devices:
                 device.restart(self.now, BOOT_NS)
                 device.voltage = VOLTAGE
 
 
-class Latched(Effect, cause=8):
+class Latched(Effect):
     """Overload latched: alert on every status, motor off; the end of the fault is a restart."""
 
     def play(self) -> Play:
@@ -106,7 +108,7 @@ class Latched(Effect, cause=8):
             device.restart(self.now)
 
 
-class ReturnDelay(Effect, cause=6):
+class ReturnDelay(Effect):
     """Return Delay Time is still the factory's 500 us."""
 
     def play(self) -> Play:
@@ -117,7 +119,7 @@ class ReturnDelay(Effect, cause=6):
             device.set('Return Delay Time', 0)
 
 
-class NoAck(Effect, cause=14):
+class NoAck(Effect):
     """Status Return Level 1: reads are answered, writes are not."""
 
     level = 1
@@ -129,25 +131,27 @@ class NoAck(Effect, cause=14):
         for device in self.devices:
             device.answer_level(2)
 
-    def ask(self, cycle: int) -> Asks:
+    def ask(self) -> Asks:
         count = len(self.line.chain)
         for device in self.devices:
             led = device.field('LED') or device.field('Acceleration')
-            if led is not None and cycle % count == device.id % count:
+            if led is not None and self.cycle % count == device.id % count:
                 yield write(device.id, led.at, bytes(led.size))
                 self.pace.pause = self.pace.patience     # it waits for an answer
                 yield Ask(device.id, Instruction.PING)
 
 
-class PingOnly(NoAck, cause=14, protocols=('2', '1')):
+class PingOnly(NoAck):
     """Status Return Level 0: only Pings are answered."""
 
+    protocols = ('2', '1')
     level = 0                    # a listener cannot know why it does not answer reads
 
 
-class OldFirmware(Effect, cause=15, protocols=ONLY_2):
+class OldFirmware(Effect):
     """Firmware from before the fast reads, asked by a master that uses them."""
 
+    protocols = ONLY_2
     every = 5
 
     def play(self) -> Play:
@@ -156,25 +160,25 @@ class OldFirmware(Effect, cause=15, protocols=ONLY_2):
             device.set('Firmware Version', OLD_FIRMWARE)
         yield
 
-    def ask(self, cycle: int) -> Asks:
+    def ask(self) -> Asks:
         yield from (Ask(device.id, Instruction.PING) for device in self.devices)
         for span in self.fleet.spans('Present Position'):
             yield from sync_read(span)
             yield from sync_read(span, Instruction.FAST_SYNC_READ)
 
 
-class BeyondLimits(Effect):
+class BeyondLimits(Effect, is_fault=False):
     """Something is beyond the device's own limits, which the master reads now and then."""
 
     every = 50
 
-    def ask(self, cycle: int) -> Asks:
+    def ask(self) -> Asks:
         for name in ('Temperature Limit', 'Min Voltage Limit', 'Max Voltage Limit'):
             for device in self.devices:
                 yield from read_register(device, name)
 
 
-class Hot(BeyondLimits, cause=0):
+class Hot(BeyondLimits):
     """The motor is warmer than its own limit."""
 
     def play(self) -> Play:
@@ -185,7 +189,7 @@ class Hot(BeyondLimits, cause=0):
             device.temperature = TEMPERATURE
 
 
-class LowVoltage(BeyondLimits, cause=0):
+class LowVoltage(BeyondLimits):
     """The supply is below the device's own limit."""
 
     def play(self) -> Play:
@@ -196,12 +200,13 @@ class LowVoltage(BeyondLimits, cause=0):
             device.voltage = VOLTAGE
 
 
-class Watchdog(Effect, cause=18, protocols=ONLY_2):
+class Watchdog(Effect):
     """The master sets a Bus Watchdog, falls silent for too long, and finds its goals refused."""
 
+    protocols = ONLY_2
     is_armed = False
 
-    def ask(self, cycle: int) -> Asks:
+    def ask(self) -> Asks:
         watchdog, goal = self.device.field('Bus Watchdog'), self.device.field('Goal Position')
         if watchdog is None or goal is None:
             return
@@ -211,11 +216,11 @@ class Watchdog(Effect, cause=18, protocols=ONLY_2):
             yield write(number, watchdog.at, bytes([WATCHDOG]))
             self.pace.pause = 3 * WATCHDOG * 20 * MS
         yield write(number, goal.at, self.device.bytes_in(goal))
-        if cycle % 20 == 0:
+        if self.cycle % 20 == 0:
             yield read(number, watchdog.at, 1)
 
 
-class Late(Effect, cause=5):
+class Late(Effect):
     """The device answers when the master has given up."""
 
     def play(self) -> Play:
@@ -224,7 +229,7 @@ class Late(Effect, cause=5):
         self.device.extra_delay_ns = 0
 
 
-class Unwritten(Effect, cause=0):
+class Unwritten(Effect):
     """The master polls the device and never writes to it."""
 
     def play(self) -> Play:

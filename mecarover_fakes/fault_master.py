@@ -25,7 +25,7 @@ FOREIGN_TORQUE = {'2': 562, '1': 64}
 HEADER_LIKE = b'\xff\xff\xfd\x00'
 
 
-class Impatient(Effect, cause=5):
+class Impatient(Effect):
     """The master gives up while the answer is on its way, and asks again."""
 
     share = 0.1
@@ -39,7 +39,7 @@ class Impatient(Effect, cause=5):
             else exchange.end + wire_ns(1, self.line.baud)
 
 
-class Latency(Effect, cause=5):
+class Latency(Effect):
     """The adapter hands over received bytes only every 16 ms."""
 
     def play(self) -> Play:
@@ -48,7 +48,7 @@ class Latency(Effect, cause=5):
         self.pace.gap -= LATENCY_NS
 
 
-class TwoMasters(Effect, cause=11):
+class TwoMasters(Effect):
     """Another program asks on the same bus, in its own time."""
 
     over = 0                         # the last exchange
@@ -72,45 +72,48 @@ class TwoMasters(Effect, cause=11):
         return exchange
 
 
-class WrongMap(Effect, cause=12, protocols=('2', '1')):
+class WrongMap(Effect):
     """The master uses the addresses of another model series."""
 
+    protocols = ('2', '1')
     every = 5
 
-    def ask(self, cycle: int) -> Asks:
+    def ask(self) -> Asks:
         address = FOREIGN_TORQUE[self.line.protocol]
         yield write(self.device.id, address, b'\x01')
         yield read(self.device.id, address, 1)
 
 
-class Eeprom(Effect, cause=13, protocols=ONLY_2):
+class Eeprom(Effect):
     """The master writes an EEPROM register while the torque is on."""
 
+    protocols = ONLY_2
     every = 10
 
-    def ask(self, cycle: int) -> Asks:
+    def ask(self) -> Asks:
         return write_register(self.device, 'Return Delay Time', b'\x00')
 
 
-class EepromWear(Effect, cause=13):
+class EepromWear(Effect):
     """The master writes an EEPROM register again and again (torque off: it is accepted)."""
 
     def play(self) -> Play:
         self.device.set('Torque Enable', 0)
         yield
 
-    def ask(self, cycle: int) -> Asks:
+    def ask(self) -> Asks:
         field = self.device.field('Homing Offset') or self.device.field('Temperature Limit')
         if field is not None:
             yield write(self.device.id, field.at, self.device.bytes_in(field))
 
 
-class Unstuffed(Effect, cause=16, protocols=ONLY_2):
+class Unstuffed(Effect):
     """The master does not stuff what it sends, as the official Python SDK."""
 
+    protocols = ONLY_2
     every = 5
 
-    def ask(self, cycle: int) -> Asks:
+    def ask(self) -> Asks:
         name = 'Goal PWM' if self.device.field('Goal PWM') else 'LED'
         return write_register(self.device, name, HEADER_LIKE)
 
@@ -118,10 +121,10 @@ class Unstuffed(Effect, cause=16, protocols=ONLY_2):
         return ask._replace(stuffed=False)
 
 
-class Overload(Effect, cause=7):
+class Overload(Effect):
     """The master wants more per cycle than the bus can carry."""
 
-    def ask(self, cycle: int) -> Asks:
+    def ask(self) -> Asks:
         room = self.pace.period
         while room > 0:
             for device in self.line.chain:
@@ -130,7 +133,7 @@ class Overload(Effect, cause=7):
                 room -= wire_ns(14 + 11 + length, self.line.baud)
 
 
-class Jitter(Effect, cause=0):
+class Jitter(Effect):
     """The master's cycle time varies widely."""
 
     def play(self) -> Play:

@@ -30,12 +30,12 @@ VOLTAGE_BIT = 0x01               # in the error byte, in both dialects
 ONLY_FEETECH = ('feetech',)
 
 
-class Baud(Effect, cause=4):
+class Baud(Effect):
     """The master writes Baud Rate of the device, which is never heard again."""
 
     every = 0
 
-    def ask(self, cycle: int) -> Asks:
+    def ask(self) -> Asks:
         if self.device.field('Baud Rate') is not None:
             yield from write_register(self.device, 'Torque Enable', b'\x00')
             yield from write_register(self.device, 'Baud Rate', bytes([self.code()]))
@@ -46,14 +46,16 @@ class Baud(Effect, cause=4):
         return next(code for code, baud in codes.items() if baud != self.line.baud)
 
 
-class BaudCode(Baud, cause=4, protocols=ONLY_FEETECH):
+class BaudCode(Baud):
     """The master writes a baud code that Feetech and LeRobot read differently."""
+
+    protocols = ONLY_FEETECH
 
     def code(self) -> int:
         return CODE_OF_TWO_MEANINGS
 
 
-class FactoryId(Effect, cause=3):
+class FactoryId(Effect):
     """The device still has the factory ID 1, which another device was given."""
 
     def play(self) -> Play:
@@ -65,18 +67,19 @@ class FactoryId(Effect, cause=3):
             device.renumber(number)
 
 
-class LastId(Effect, cause=12):
+class LastId(Effect):
     """The master asks ID 253, where nothing is."""
 
     every = 20                   # in Protocol 2.0 no device can be missed there
 
-    def ask(self, cycle: int) -> Asks:
+    def ask(self) -> Asks:
         yield read(LAST_ID, 3, 2)
 
 
-class MixedFirmware(Effect, cause=15, protocols=ONLY_FEETECH):
+class MixedFirmware(Effect):
     """The device has an older firmware than the others; the master reads that of all."""
 
+    protocols = ONLY_FEETECH
     every = 0
 
     def play(self) -> Play:
@@ -85,65 +88,72 @@ class MixedFirmware(Effect, cause=15, protocols=ONLY_FEETECH):
             device.set('Firmware Version Minor', OLD_MINOR if device is affected else NEW_MINOR)
         yield
 
-    def ask(self, cycle: int) -> Asks:
+    def ask(self) -> Asks:
         return [read(device.id, 0, 2) for device in self.line.chain]
 
 
-class Locked(Effect, cause=13, protocols=FAMILY_1):
+class Locked(Effect):
     """The master writes EEPROM while Lock is 1."""
 
+    protocols = FAMILY_1
     every = 0
 
     def play(self) -> Play:
         self.device.set('Lock', 1)
         yield
 
-    def ask(self, cycle: int) -> Asks:
+    def ask(self) -> Asks:
         yield from read_register(self.device, 'Lock')
         yield from write_register(self.device, 'Temperature Limit', b'\x46')
 
 
-class Calibrated(Effect, cause=0, protocols=ONLY_FEETECH):
+class Calibrated(Effect):
     """The master calibrates the device twice, by the instruction."""
 
+    protocols = ONLY_FEETECH
     every = 0
 
-    def ask(self, cycle: int) -> Asks:
+    def ask(self) -> Asks:
         return [Ask(self.device.id, CALIBRATE)] * 2
 
 
-class Middle(Effect, cause=0, protocols=ONLY_FEETECH):
+class Middle(Effect):
     """The master calibrates the device twice, by Torque Enable 128."""
 
+    protocols = ONLY_FEETECH
     every = 0
 
-    def ask(self, cycle: int) -> Asks:
+    def ask(self) -> Asks:
         return list(write_register(self.device, 'Torque Enable', bytes([MIDDLE]))) * 2
 
 
-class Offset(Effect, cause=0, protocols=ONLY_FEETECH):
+class Offset(Effect):
     """The master calibrates the device on top of the offset that it has."""
 
+    protocols = ONLY_FEETECH
     every = 0
 
-    def ask(self, cycle: int) -> Asks:
+    def ask(self) -> Asks:
         offset = self.device.model.by_name['Homing Offset']
         yield write(self.device.id, offset.at, offset.bytes_of(120))
         yield from read_register(self.device, 'Present Position')
         yield write(self.device.id, offset.at, offset.bytes_of(95))
 
 
-class ForeignLayout(Effect, cause=12, protocols=ONLY_FEETECH, name='layout'):
+class Layout(Effect):
     """The master uses the table of another series: Lock of an SCS servo, on an STS."""
 
+    protocols = ONLY_FEETECH
     every = 20
 
-    def ask(self, cycle: int) -> Asks:
+    def ask(self) -> Asks:
         yield write(self.device.id, SCS_LOCK, b'\x01')
 
 
-class HighSupply(BeyondLimits, cause=0, protocols=FAMILY_1):
+class HighSupply(BeyondLimits):
     """The servo is made for a lower voltage: its limit is far below the supply."""
+
+    protocols = FAMILY_1
 
     def play(self) -> Play:
         for device in self.devices:
@@ -161,7 +171,7 @@ class HighSupply(BeyondLimits, cause=0, protocols=FAMILY_1):
             device.restart(self.now)
 
 
-class LowSupply(HighSupply, cause=0, protocols=FAMILY_1):
+class LowSupply(HighSupply):
     """A servo for 12 V on a supply of 7.4 V."""
 
     def play(self) -> Play:

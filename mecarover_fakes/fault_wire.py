@@ -25,7 +25,7 @@ WRONG_BAUD = 2.0                 # what the listener is set to, as a multiple of
 OTHERS = 200                     # ID of a device of the other protocol
 
 
-class Damage(Effect):
+class Damage(Effect, is_fault=False):
     """A share of the bursts does not arrive as it was sent."""
 
     share = RARELY
@@ -41,7 +41,7 @@ class Damage(Effect):
         return data, True
 
 
-class Flip(Damage, cause=17):
+class Flip(Damage):
     """One bit of a byte arrives wrong."""
 
     def damaged(self, data: bytearray) -> tuple[bytearray, bool]:
@@ -49,7 +49,7 @@ class Flip(Damage, cause=17):
         return data, data[1:4] == HEADER[1:] and data[0] != HEADER[0]
 
 
-class Drop(Damage, cause=17):
+class Drop(Damage):
     """A byte does not arrive."""
 
     def damaged(self, data: bytearray) -> tuple[bytearray, bool]:
@@ -58,7 +58,7 @@ class Drop(Damage, cause=17):
         return data, has_header and data == rest         # either FF of a header may be lost
 
 
-class Header(Damage, cause=10):
+class Header(Damage):
     """The first byte of a status is missing or wrong, the rest is good."""
 
     share = OFTEN
@@ -75,13 +75,13 @@ class Header(Damage, cause=10):
         return data, count == 1
 
 
-class Turnaround(Header, cause=10):
+class Turnaround(Header):
     """The line turns round too late: one to three bytes of a status are missing or wrong."""
 
     longest = 3                  # a damaged last answer looks like one that never came
 
 
-class Stray(Effect):
+class Stray(Effect, is_fault=False):
     """Bytes that belong to no exchange, after some of them."""
 
     sender = STRAY
@@ -97,7 +97,7 @@ class Stray(Effect):
         return b''
 
 
-class Glitch(Stray, cause=10):
+class Glitch(Stray):
     """The driver enable leaves a byte on the line between packets."""
 
     gap = 2
@@ -106,7 +106,7 @@ class Glitch(Stray, cause=10):
         return self.rng.choice((b'\x00', b'\xff'))
 
 
-class Noise(Flip, Stray, cause=17):
+class Noise(Flip, Stray):
     """Disturbance on the wire: wrong bits in every direction, garbage in between."""
 
     share = SOMETIMES
@@ -118,7 +118,7 @@ class Noise(Flip, Stray, cause=17):
         return bytes(self.rng.randrange(256) for _ in range(self.rng.randint(1, 6)))
 
 
-class Foreign(Stray, cause=11):
+class Foreign(Stray):
     """A status that no instruction asked for."""
 
     def data(self) -> bytes:
@@ -126,23 +126,27 @@ class Foreign(Stray, cause=11):
         return self.line.status_wire(self.sender, 0, bytes(4))
 
 
-class Protocol1(Stray, cause=19, protocols=ONLY_2):
+class Protocol1(Stray):
     """A Protocol 1.0 device on the same bus, and its master."""
+
+    protocols = ONLY_2
 
     def data(self) -> bytes:
         return dxl1_packet.encode(OTHERS, Instruction.READ, b'\x24\x08') \
             + dxl1_packet.encode(OTHERS, 0, bytes(range(0x20, 0x28)))
 
 
-class Protocol2(Stray, cause=19, protocols=FAMILY_1):
+class Protocol2(Stray):
     """A Protocol 2.0 device on the same bus, and its master."""
+
+    protocols = FAMILY_1
 
     def data(self) -> bytes:
         return encode(OTHERS, Instruction.READ, bytes((0x84, 0, 8, 0))) \
             + encode(OTHERS, STATUS, bytes(range(0x20, 0x28)), 0)
 
 
-class Echo(Effect, cause=10):
+class Echo(Effect):
     """The adapter repeats what its master sends."""
 
     def stray(self, exchange: Exchange) -> Iterator[Burst]:
@@ -154,7 +158,7 @@ class Echo(Effect, cause=10):
         yield Burst(asked.end, asked.data, STRAY, self.line.baud)
 
 
-class WrongBaud(Effect, cause=4):
+class WrongBaud(Effect):
     """The listener runs at another rate than the bus."""
 
     def damage(self, burst: Burst) -> None:

@@ -62,14 +62,13 @@ class GuardedReceiver(Receiver):
             self.totals.refused += 1
         elif velocity is not None:
             self.totals.frames += 1
-            arrival = Arrival(stamp, FRAME_SIZE, velocity)
-            self.arrivals.append(arrival)
-            self._good.append(arrival)
+            self.arrivals.append(Arrival(stamp, FRAME_SIZE, velocity))
+            self._good.append((stamp, velocity))
 
-    def _put(self, arrival: Arrival) -> None:
+    def _put(self, stamp: int, velocity: Vel2d) -> None:
         self._queue.clear()
-        super()._put(arrival)
-        self._good_at = arrival.stamp
+        super()._put(stamp, velocity)
+        self._good_at = stamp
         self.state = RUNNING
 
     def _next(self, now: int) -> Vel2d | None:

@@ -10,6 +10,8 @@ Protocol 2.0, instruction packets; combined replies are sent piece by piece, one
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
+from dataclasses import InitVar
 from typing import NamedTuple
 
 from mecarover_fakes.fake_servo import FakeDevice
@@ -40,6 +42,7 @@ BITS_PER_BYTE = 10               # 8N1
 BLOCK = 4                        # error, ID and CRC of each device in a combined status
 
 
+@dataclass(eq=False)
 class Burst:
     """
     Bytes that one sender puts on the line without a gap.
@@ -47,16 +50,15 @@ class Burst:
     written: what the master wrote for it, with the time of each; nothing on the wire changes that.
     """
 
-    __slots__ = ('data', 'end', 'intact', 'sender', 'start', 'written')
+    start: int
+    data: bytes
+    sender: int
+    baud: InitVar[int]
+    intact: bool = True
 
-    def __init__(self, start: int, data: bytes, sender: int, baud: int, *,
-                 intact: bool = True) -> None:
-        self.start = start
-        self.data = data
-        self.sender = sender
-        self.end = start + wire_ns(len(data), baud)
-        self.intact = intact
-        self.written = ((start, data),) * (sender == MASTER)
+    def __post_init__(self, baud: int) -> None:
+        self.end = self.start + wire_ns(len(self.data), baud)
+        self.written = ((self.start, self.data),) * (self.sender == MASTER)
 
 
 class Answer(NamedTuple):
@@ -98,7 +100,6 @@ class Line:
     A line at `baud` with devices in the order of the cable.
 
     dialect: of the 1.0 family; None: Protocol 2.0.
-
     `waits_in_line`: a device in a Sync or Bulk Read answers only after the one before it did, so
     that all after a silent one stay silent too; else they answer after its slot.
     """
@@ -121,14 +122,15 @@ class Line:
 
     def exchange(self, number: int, instruction: int, params: bytes, start: int, *,
                  stuffed: bool = True, is_understood: bool = True) -> Exchange:
-        """
-        Put an instruction on the line at `start` and let the devices do and answer it.
-
-        `heard` False: no device understands it (it was damaged).
-        """
-        frame = self.instruction_wire(number, instruction, params, stuffed)
-        asked = Burst(start, frame, MASTER, self.baud)
-        request = self.understood(number, instruction, params)
+        """Put an instruction on the line at `start`; devices that understand it, answer."""
+        if self.dialect:
+            narrowed = narrow(instruction, params)
+            wire = dxl1_packet.encode(number, instruction, narrowed)
+            request = parse_1(instruction, number, narrowed, self.dialect)
+        else:
+            wire = encode(number, instruction, params, stuffed=stuffed)
+            request = parse(instruction, number, params)
+        asked = Burst(start, wire, MASTER, self.baud)
         exchange = Exchange(request, params, [asked], self._due(request), [])
         if is_understood:
             self._watch(asked.end)
@@ -137,24 +139,11 @@ class Line:
 
     # --- packets ---------------------------------------------------------------------------
 
-    def instruction_wire(self, number: int, instruction: int, params: bytes,
-                         stuffed: bool) -> bytes:
-        """Return the bytes of an instruction on the wire."""
-        if self.dialect:
-            return dxl1_packet.encode(number, instruction, narrow(instruction, params))
-        return encode(number, instruction, params, stuffed=stuffed)
-
     def status_wire(self, number: int, error: int, params: bytes) -> bytes:
         """Return the bytes of a status on the wire."""
         if self.dialect:
             return dxl1_packet.encode(number, error, params)
         return encode(number, STATUS, params, error)
-
-    def understood(self, number: int, instruction: int, params: bytes) -> Request:
-        """Return what an instruction asks for."""
-        if self.dialect:
-            return parse_1(instruction, number, narrow(instruction, params), self.dialect)
-        return parse(instruction, number, params)
 
     def knows(self, instruction: int) -> bool:
         """Tell whether there is such an instruction."""
@@ -185,18 +174,12 @@ class Line:
 
     def _due(self, request: Request) -> tuple[int, ...]:
         """Return who must answer, Status Return Level considered; an unknown device must."""
-        if request.answers is Answers.EVERYBODY:
-            return ()            # nothing is known of the devices before
         if request.answers in (Answers.LISTED, Answers.COMBINED):
-            return tuple(access.id for access in request.accesses
-                         if self._answers(access.id, request.instruction))
-        if request.id == BROADCAST or not self._answers(request.id, request.instruction):
-            return ()
-        return (request.id,)
-
-    def _answers(self, number: int, instruction: int) -> bool:
-        device = self.at(number)
-        return device is None or device.acknowledges(instruction)
+            asked = [access.id for access in request.accesses]
+        else:                    # a Ping to all is due from none: who is there is unknown
+            asked = [request.id] * (request.id != BROADCAST)
+        return tuple(number for number in asked if (device := self.at(number)) is None
+                     or device.acknowledges(request.instruction))
 
     # --- ways to answer --------------------------------------------------------------------
 

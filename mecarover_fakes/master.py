@@ -47,14 +47,13 @@ class Master:
 
     def __init__(self, line: Line, pattern: Pattern, *, rate: float = 100.0,
                  faults: Iterable[Fault] = (), seed: int = 1, started: bool = False,
-                 gap: int = GAP_NS, patience: int = PATIENCE_NS,
-                 truth: GroundTruth | None = None) -> None:
+                 gap: int = GAP_NS, patience: int = PATIENCE_NS) -> None:
         self.line = line
         self.now = 0
-        self.truth = truth or GroundTruth()
+        self.truth = GroundTruth()
         self.pattern = pattern
         self._started = started
-        self._fleet = Fleet(line, self._clock)
+        self._fleet = Fleet(line, lambda: self.now)
         self._pace = MasterTiming(round(S / rate) if rate else 0, gap, patience)
         self._rng = Random(seed)
         self._faults = Faults(list(faults), FaultScope(line, self._fleet, self._pace, self._rng))
@@ -63,6 +62,7 @@ class Master:
         self._busy_until = 0
         self._strays_until = 0
         self._until: int | None = None
+        self._is_stopped = False
 
     def bursts(self, until: int | None = None) -> Iterator[Burst]:
         """Yield the bursts on the line until a time (None: until stop()), exchanges whole."""
@@ -85,8 +85,12 @@ class Master:
         yield from self._flush()
 
     def stop(self) -> None:
-        """End bursts() after the exchange in progress."""
-        self._until = 0
+        """End bursts() after the exchange in progress, or before it has begun."""
+        self._is_stopped = True
+
+    def command(self, text: str, now: int) -> None:
+        """Begin or end faults, as Faults.command() does."""
+        self._faults.command(text, now)
 
     def respond(self, ask: Ask, now: int) -> list[Burst]:
         """Return the bursts on the line when a real master sends an instruction at `now`."""
@@ -98,10 +102,7 @@ class Master:
 
     def is_over(self, now: int) -> bool:
         """Tell whether bursts() has nothing more to come at `now`."""
-        return self._until is not None and now >= self._until
-
-    def _clock(self) -> int:
-        return self.now
+        return self._is_stopped or (self._until is not None and now >= self._until)
 
     def _next_cycle(self, begin: int) -> int:
         """Move on to the next cycle; return when it should have begun."""

@@ -71,14 +71,16 @@ def servo_doctor(request: pytest.FixtureRequest) -> Iterator[Callable[..., Liste
     servo_doctor(serial_port, devices=['1-6:STS3215']): arguments of servobus.listen().
     """
     listening: list[Listening] = []
-    with ExitStack() as stack:
-        def begin(port: Any, **options: Any) -> Listening:
-            listening.append(stack.enter_context(listen(port, **options)))
-            return listening[-1]
+    stack = ExitStack()
 
-        yield begin
-        error = request.node.stash.get(_RAISED, None)
-        stack.pop_all().__exit__(type(error) if error else None, error, None)
+    def begin(port: Any, **options: Any) -> Listening:
+        listening.append(stack.enter_context(listen(port, **options)))
+        return listening[-1]
+
+    yield begin
+    raised = request.node.stash.get(_RAISED, None)
+    # As if the test had been inside `with listen()`: a Listening looks at what was raised there.
+    stack.__exit__(type(raised) if raised else None, raised, None)
     wrong = [f'{one.level.name} {one.rule}, '
              f'{"the bus" if one.device is None else f"{one.device:03}"}: {one.message}'
              for bus in listening for one in bus.findings if one.level >= Level.WARN]

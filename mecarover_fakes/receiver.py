@@ -80,7 +80,7 @@ class Receiver:
         self._buffer = b''
         self._deaf = False
         self._words = ''
-        self._good: deque[Arrival] = deque()         # on the line, not yet in the queue
+        self._good: deque[tuple[int, Vel2d]] = deque()     # on the line, not yet in the queue
         self._queue: deque[Vel2d] = deque()
         self._next_loop = start + LOOP
 
@@ -139,8 +139,7 @@ class Receiver:
     def _call_back(self, stamp: int) -> None:
         frame, self._buffer = self._buffer, b''
         velocity = decode(frame, self._crc)
-        arrival = Arrival(stamp, len(frame), velocity)
-        self.arrivals.append(arrival)
+        self.arrivals.append(Arrival(stamp, len(frame), velocity))
         if len(frame) != FRAME_SIZE:
             self.totals.insufficient += 1
             self._words += 'insufficient bytes received\r\n'
@@ -149,17 +148,17 @@ class Receiver:
             self._words += 'crc mismatch!\r\n'
         else:
             self.totals.frames += 1
-            self._good.append(arrival)
+            self._good.append((stamp, velocity))
 
     def _enqueue(self, now: int) -> None:
-        while self._good and self._good[0].stamp <= now:
-            self._put(self._good.popleft())
+        while self._good and self._good[0][0] <= now:
+            self._put(*self._good.popleft())
 
-    def _put(self, arrival: Arrival) -> None:
-        if len(self._queue) >= QUEUE_DEPTH or arrival.velocity is None:
+    def _put(self, stamp: int, velocity: Vel2d) -> None:
+        if len(self._queue) >= QUEUE_DEPTH:
             self.totals.queue_full += 1
         else:
-            self._queue.append(arrival.velocity)
+            self._queue.append(velocity)
 
     def _next(self, now: int) -> Vel2d | None:
         """Return the velocity that the pose loop takes now, if there is a new one."""
@@ -183,17 +182,14 @@ class BadCable:
     def carry(self, frame: bytes) -> bytes:
         """Return what arrives of a frame."""
         self.frames += 1
-        before = frame
-        if frame and self.drop and self.frames % self.drop == 0:
-            at = self._random.randrange(len(frame))
-            frame = frame[:at] + frame[at + 1:]
-        if frame and self.flip and self.frames % self.flip == 0:
-            bit = self._random.randrange(8 * len(frame))
-            damaged = bytearray(frame)
-            damaged[bit // 8] ^= 1 << bit % 8
-            frame = bytes(damaged)
-        self.damaged += frame != before
-        return frame
+        arriving = bytearray(frame)
+        if arriving and self.drop and self.frames % self.drop == 0:
+            del arriving[self._random.randrange(len(arriving))]
+        if arriving and self.flip and self.frames % self.flip == 0:
+            bit = self._random.randrange(8 * len(arriving))
+            arriving[bit // 8] ^= 1 << bit % 8
+        self.damaged += arriving != frame
+        return bytes(arriving)
 
     def overruns(self) -> bool:
         """Whether the receiver is overrun by the frame carried last."""

@@ -63,11 +63,6 @@ class Registers:
         return address < end <= len(self.image) and any(
             first < end and last > address for first, last in self._spans)
 
-    def redirects(self, address: int, end: int) -> bool:
-        """Tell whether a range holds bytes that show other registers."""
-        return any(address < data + count and end > data
-                   for _, data, count in self.model.indirect)
-
     def resolve(self, address: int) -> int:
         """Follow an indirect data byte to the register that it shows, one level deep."""
         for pointers, data, count in self.model.indirect:

@@ -46,36 +46,31 @@ class CommonRange(NamedTuple):
 
 
 Asks = Iterable[Ask]
-Goals = dict[tuple[int, int], list[tuple[int, bytes]]]       # by address and size: ID and goal
 Pattern = Callable[['Fleet', int], Asks]
 
 
 class Fleet:
-    """The devices of a line as the master knows them: it looks up addresses once."""
+    """The devices of a line as the master knows them."""
 
     def __init__(self, line: Line, clock: Callable[[], int]) -> None:
         self.line = line
         self._clock = clock
         self.devices = list(line.chain)
         self.id_of = {device: device.id for device in self.devices}    # as it takes them for
-        self.ids = tuple(self.id_of.values())
         self.servos = [device for device in self.devices if device.field('Goal Position')]
         self.boards = [device for device in self.devices if not device.field('Goal Position')]
         self.unwritten: set[int] = set()     # the master never writes to these
-        self._spans: dict[tuple[str, ...], list[CommonRange]] = {}
 
     def spans(self, *names: str) -> list[CommonRange]:
         """Return the ranges that cover these registers, devices with equal addresses together."""
-        if names not in self._spans:
-            groups: dict[tuple[int, int], list[int]] = {}
-            for device in self.devices:
-                fields = [field for name in names if (field := device.field(name)) is not None
-                          and field.at < self.line.addresses]
-                if fields:
-                    first, end = min(f.at for f in fields), max(f.end for f in fields)
-                    groups.setdefault((first, end - first), []).append(self.id_of[device])
-            self._spans[names] = [CommonRange(*place, tuple(ids)) for place, ids in groups.items()]
-        return self._spans[names]
+        groups: dict[tuple[int, int], list[int]] = {}
+        for device, number in self.id_of.items():
+            fields = [field for name in names if (field := device.field(name)) is not None
+                      and field.at < self.line.addresses]
+            if fields:
+                first, end = min(f.at for f in fields), max(f.end for f in fields)
+                groups.setdefault((first, end - first), []).append(number)
+        return [CommonRange(*place, tuple(ids)) for place, ids in groups.items()]
 
     def read(self, *names: str) -> Asks:
         """Read these registers of all, one by one where there is no Sync Read."""
@@ -85,15 +80,15 @@ class Fleet:
             else:
                 yield from (read(number, span.address, span.length) for number in span.ids)
 
-    def goals(self) -> Goals:
-        """Return the servos' Goal Positions, by its address and size."""
-        found: Goals = {}
+    def goals(self) -> list[tuple[int, int, bytes]]:
+        """Return what to write to the servos' Goal Positions: ID, address, data."""
+        found = []
         for device in self.servos:
             number = self.id_of[device]
             if number not in self.unwritten and device.motion is not None:
                 field = device.model.by_name['Goal Position']
-                data = pack(field, device.motion.angle(self._clock() * 1e-9 + LOOK_AHEAD_S))
-                found.setdefault((field.at, field.size), []).append((number, data))
+                angle = device.motion.angle(self._clock() * 1e-9 + LOOK_AHEAD_S)
+                found.append((number, field.at, pack(field, angle)))
         return found
 
 
@@ -200,11 +195,10 @@ def sync(fleet: Fleet, cycle: int) -> Asks:
 def bulk(fleet: Fleet, cycle: int) -> Asks:
     """Bulk Read of positions and boards, Bulk Write (in 1.0 Sync Write) of goals."""
     yield from bulk_read(_everything(fleet))
-    if not fleet.line.knows(Instruction.BULK_WRITE):
+    if fleet.line.knows(Instruction.BULK_WRITE):
+        yield from bulk_write(fleet.goals())
+    else:
         yield from _goals(fleet)
-        return
-    yield from bulk_write((number, at, content) for (at, _), data in fleet.goals().items()
-                          for number, content in data)
 
 
 def fast(fleet: Fleet, cycle: int) -> Asks:
@@ -219,9 +213,8 @@ def fast(fleet: Fleet, cycle: int) -> Asks:
 
 def registered(fleet: Fleet, cycle: int) -> Asks:
     """Goals by Reg Write to each servo, then one Action for all."""
-    for (at, _), data in fleet.goals().items():
-        for number, content in data:
-            yield Ask(number, Instruction.REG_WRITE, words(at) + content)
+    for number, address, data in fleet.goals():
+        yield Ask(number, Instruction.REG_WRITE, words(address) + data)
     yield Ask(BROADCAST, Instruction.ACTION)
     yield from fleet.read('Present Position')
 
@@ -270,8 +263,9 @@ def broadcast(fleet: Fleet, cycle: int) -> Asks:
 
 def idle(fleet: Fleet, cycle: int) -> Asks:
     """Be nearly silent: a Ping now and then."""
-    if fleet.ids and cycle % IDLE_CYCLES == 0:
-        yield Ask(fleet.ids[cycle // IDLE_CYCLES % len(fleet.ids)], Instruction.PING)
+    ids = list(fleet.id_of.values())
+    if ids and cycle % IDLE_CYCLES == 0:
+        yield Ask(ids[cycle // IDLE_CYCLES % len(ids)], Instruction.PING)
 
 
 def mixed(fleet: Fleet, cycle: int) -> Asks:
@@ -285,8 +279,11 @@ def none(fleet: Fleet, cycle: int) -> Asks:
 
 
 def _goals(fleet: Fleet) -> Asks:
-    for (at, _), data in fleet.goals().items():
-        yield from sync_write(at, data)
+    groups: dict[tuple[int, int], list[tuple[int, bytes]]] = {}
+    for number, address, data in fleet.goals():
+        groups.setdefault((address, len(data)), []).append((number, data))
+    for (address, _), goals in groups.items():
+        yield from sync_write(address, goals)
 
 
 def _sensor_span(device: FakeDevice) -> CommonRange:

@@ -15,6 +15,7 @@ import os
 import termios
 
 from servobus.port.pty import Pty
+from servobus.port.readable import readable
 
 CAPACITY = 4096
 COUNTERS = 'sent', 'taken', 'overrun', 'unheard', 'received'
@@ -28,10 +29,7 @@ class VirtualUart:
         self._link = link
         self.is_plugged_in = False
         self.plug(plugged_in=True)
-        self.sent = 0
-        self.taken = 0               # by the pty, for the reader
-        self.overrun = 0
-        self.unheard = 0
+        self.sent = self.taken = self.overrun = self.unheard = 0
         self.received = 0            # from the other end
 
     def plug(self, *, plugged_in: bool) -> None:
@@ -80,6 +78,10 @@ class VirtualUart:
             return os.write(self.fd, data)
         except BlockingIOError:
             return 0
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until the other end writes, at most so long; return whether it has."""
+        return bool(readable([self.fd] * self.is_plugged_in, timeout_s))
 
     def read(self, most: int = _READ_SIZE) -> bytes:
         """Return what the other end wrote, at most so many bytes; b'' when nothing."""

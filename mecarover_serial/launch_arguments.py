@@ -8,7 +8,7 @@ from itertools import pairwise
 import os
 from typing import NamedTuple
 
-from mecarover_serial.parameters import did_you_mean
+from servobus.errors import did_you_mean
 
 PACKAGE = 'mecarover_serial'
 _MARK = ':='

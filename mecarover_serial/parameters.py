@@ -8,10 +8,8 @@ anything once checks are off; so values are converted and checked here, without 
 """
 from __future__ import annotations
 
-from collections.abc import Collection
 from collections.abc import Sequence
 from contextlib import suppress
-import difflib
 from itertools import pairwise
 import math
 from typing import Any
@@ -20,8 +18,10 @@ from typing import NamedTuple
 from msg_defs.reports import HEADLINE
 from msg_defs.reports import number
 from msg_defs.reports import TIMING_TOPICS
+from servobus.errors import did_you_mean
 from servobus.errors import ParameterError
 
+_TYPE_NAMES = {bool: 'bool', int: 'integer', float: 'double', str: 'string'}
 _OF_RCLPY = ('use_sim_time', 'start_type_description_service')
 
 
@@ -36,8 +36,8 @@ class Parameter(NamedTuple):
     default: Any
     description: str
     unit: str = ''
-    minimum: float | None = None
-    maximum: float | None = None
+    minimum: float = -math.inf
+    maximum: float = math.inf
     or_zero: bool = False
     choices: tuple[str, ...] = ()
     element: type | None = None         # a list of these
@@ -47,20 +47,17 @@ class Parameter(NamedTuple):
     def type_name(self) -> str:
         """The type as a user of ROS parameters knows it."""
         if self.element is not None:
-            return {str: 'string', int: 'integer', float: 'double'}[self.element] + ' list'
-        return {bool: 'bool', int: 'integer', float: 'double', str: 'string'}[type(self.default)]
+            return f'{_TYPE_NAMES[self.element]} list'
+        return _TYPE_NAMES[type(self.default)]
 
     @property
     def range_text(self) -> str:
         """The values it takes, in words; '' when any."""
         if self.choices:
             return ', '.join(self.choices)
-        limits = []
-        if self.minimum is not None:
-            limits.append(f'>= {number(self.minimum)}')
-        if self.maximum is not None:
-            limits.append(f'<= {number(self.maximum)}')
-        return ', '.join(limits) + (' or 0' if self.or_zero and limits else '')
+        limits = ', '.join(f'{sign} {number(limit)}' for sign, limit in (
+            ('>=', self.minimum), ('<=', self.maximum)) if math.isfinite(limit))
+        return limits + (' or 0' if self.or_zero and limits else '')
 
 
 TIMING_PARAMETER = Parameter(
@@ -71,22 +68,11 @@ TIMING_PARAMETER = Parameter(
 def convert(parameter: Parameter, raw: Any) -> Any:
     """Return `raw` as the parameter's type; raise ParameterError when it cannot be that."""
     if parameter.element is None:
-        value = _scalar(parameter, type(parameter.default), raw)
-        _check_range(parameter, value)
-        return value
+        return _scalar(parameter, type(parameter.default), raw)
     if isinstance(raw, str | bytes) or not hasattr(raw, '__iter__'):
         raw = [] if raw is None else [raw]      # a scalar is a list of one
     # An empty string in a list is how ROS spells an empty list.
-    values = [_scalar(parameter, parameter.element, item) for item in raw if item != '']
-    for value in values:
-        _check_range(parameter, value)
-    return values
-
-
-def did_you_mean(name: str, names: Collection[str]) -> str:
-    """Return the remedy for a name that is none of `names`: the nearest of them, or all."""
-    near = difflib.get_close_matches(name, names, 1)
-    return f'did you mean {near[0]}?' if near else f'there are: {", ".join(names)}'
+    return [_scalar(parameter, parameter.element, item) for item in raw if item != '']
 
 
 def unknown(names: Sequence[str], given: Sequence[str]) -> list[str]:
@@ -138,28 +124,31 @@ def _parsed(text: str) -> Any:
 
 
 def _scalar(parameter: Parameter, wanted: type, raw: Any) -> Any:
-    is_number = isinstance(raw, int | float) and not isinstance(raw, bool)
-    if wanted is bool and isinstance(raw, bool):
+    value = _of_type(parameter, wanted, raw)
+    if value is None or (parameter.choices and value not in parameter.choices) \
+            or not _is_in_range(parameter, value):
+        raise ParameterError(_line(parameter, raw if value is None else value))
+    return value
+
+
+def _of_type(parameter: Parameter, wanted: type, raw: Any) -> Any:
+    """Return a value as a type, None where it cannot be that."""
+    if wanted in (bool, str) and isinstance(raw, wanted):
         return raw
-    if wanted is float and is_number and math.isfinite(raw):
-        return float(raw)
-    if wanted is int and is_number and math.isfinite(raw) and raw == int(raw):
-        return int(raw)
-    if wanted is str and isinstance(raw, str):
-        return raw
-    if wanted is str and is_number and parameter.element is not None:
+    if isinstance(raw, bool) or not isinstance(raw, int | float):
+        return None
+    if wanted is str and parameter.element is not None:
         return f'{raw:g}' if isinstance(raw, float) else str(raw)   # devices:=[30] means '30'
-    raise ParameterError(_line(parameter, raw))
+    if wanted is float and math.isfinite(raw):
+        return float(raw)
+    if wanted is int and math.isfinite(raw) and raw == int(raw):
+        return int(raw)
+    return None
 
 
-def _check_range(parameter: Parameter, value: Any) -> None:
-    if parameter.choices and value not in parameter.choices:
-        raise ParameterError(_line(parameter, value))
-    if isinstance(value, str | bool) or (parameter.or_zero and value == 0):
-        return
-    if (parameter.minimum is not None and value < parameter.minimum) \
-            or (parameter.maximum is not None and value > parameter.maximum):
-        raise ParameterError(_line(parameter, value))
+def _is_in_range(parameter: Parameter, value: Any) -> bool:
+    return isinstance(value, str | bool) or (parameter.or_zero and value == 0) \
+        or parameter.minimum <= value <= parameter.maximum
 
 
 def _line(parameter: Parameter, raw: Any) -> str:

@@ -56,8 +56,10 @@ from mecarover_serial.settings_text import SettingsError
 from mecarover_serial.standard_streams import StandardStreams
 from mecarover_serial.systemd import Systemd
 from servobus.errors import ParameterError
+from servobus.errors import UsageError
 from servobus.plain import printable
 from servobus.port.port_error import PortError
+from servobus.tools.cli import complain
 from servobus.tools.cli import COULD_NOT_RUN
 from servobus.tools.cli import DONE
 from servobus.tools.cli import WRONG_USAGE
@@ -68,7 +70,6 @@ _NO_THREAD = re.compile('start new thread|pthread_create')     # in Python's wor
 SAY_AGAIN_S = 60.0              # between lines about what rclpy raises at one place
 USELESS_S = 10.0                # an executor that only raises for so long does nothing any more
 STEP_S = 1.0                    # the system clock was set when it jumps by more
-_LARGEST = 1e9                  # means "no upper limit" in a range, which needs both ends
 
 
 class Stoppable(Protocol):
@@ -102,7 +103,7 @@ def run(name: str, start: Callable[[], Stoppable], args: Sequence[str] | None = 
         except RuntimeError as error:
             if not _NO_THREAD.search(str(error)):
                 raise
-            code = _complain(name, f'{first_line(error)}; {MORE_TASKS}', COULD_NOT_RUN)
+            code = complain(name, OSError(f'{first_line(error)}; {MORE_TASKS}'), COULD_NOT_RUN)
         if clock.went_back:
             os._exit(code)
         return code
@@ -128,22 +129,23 @@ def _run(name: str, start: Callable[[], Stoppable], args: Sequence[str] | None,
          signals: _Signals, clock: _SystemClock) -> int:
     spare_shared_memory(name)
     if problem := wrong_domain(os.environ.get('ROS_DOMAIN_ID', '')):
-        return _complain(name, problem, WRONG_USAGE)
+        return complain(name, UsageError(problem), WRONG_USAGE)
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:      # RCLError is private; its cause is what the user typed
-        return _complain(name, f'{first_line(error)}; {_remedy()}', WRONG_USAGE)
+        return complain(name, UsageError(f'{first_line(error)}; {_remedy()}'), WRONG_USAGE)
     try:
         _spin(_created(start), signals, clock)
         return DONE
     except ParameterError as error:
-        return _complain(name, str(error), WRONG_USAGE)
+        return complain(name, error, WRONG_USAGE)
     except ParameterException as error:         # rclpy's own parameters: use_sim_time, QoS
-        return _complain(name, f'{first_line(error)}; see ros2 param --help', WRONG_USAGE)
+        return complain(
+            name, UsageError(f'{first_line(error)}; see ros2 param --help'), WRONG_USAGE)
     except PortError as error:
-        return _complain(name, str(error), COULD_NOT_RUN)
+        return complain(name, error, COULD_NOT_RUN)
     except OSError as error:
-        return _complain(name, f'{error}; correct that and restart it', COULD_NOT_RUN)
+        return complain(name, OSError(f'{error}; correct that and restart it'), COULD_NOT_RUN)
     finally:
         if not clock.went_back:
             rclpy.try_shutdown()
@@ -314,15 +316,10 @@ def _prefer_typed(node: Node, known: Container[str]) -> None:
     """
     overrides = node._parameter_overrides
     for name, value in typed(sys.argv[1:], node.get_name()).items():
-        if name in known and name in overrides and _kind(value) != _kind(overrides[name].value):
-            overrides[name] = rclpy.Parameter(name, value=value)
-
-
-def _kind(value: Any) -> str:
-    """Return the type of a value, of a list that of its elements."""
-    if isinstance(value, str) or not hasattr(value, '__iter__'):
-        return type(value).__name__
-    return 'list of ' + ', '.join(sorted({type(item).__name__ for item in value}))
+        if name in known and name in overrides:
+            one = rclpy.Parameter(name, value=value)
+            if one.type_ != overrides[name].type_:
+                overrides[name] = one
 
 
 def declare(node: Node, parameters: Sequence[Parameter],
@@ -451,28 +448,20 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
         name=parameter.name, dynamic_typing=True, read_only=not parameter.run_time,
         description=parameter.description + (f' [{limits}]' if limits else ''),
         additional_constraints=parameter.range_text)
-    if parameter.minimum is None and parameter.maximum is None:
+    low, high = 0.0 if parameter.or_zero else parameter.minimum, parameter.maximum
+    if math.inf in (-low, high):            # a range has two ends
         return descriptor
-    low = 0.0 if parameter.or_zero else parameter.minimum
-    ends = {'from_value': -_LARGEST if low is None else low,
-            'to_value': _LARGEST if parameter.maximum is None else parameter.maximum}
     if isinstance(parameter.default, float):
         descriptor.type = ParameterType.PARAMETER_DOUBLE
-        descriptor.floating_point_range = [FloatingPointRange(
-            **{end: float(value) for end, value in ends.items()})]
+        descriptor.floating_point_range = [
+            FloatingPointRange(from_value=float(low), to_value=float(high))]
     elif isinstance(parameter.default, int):
         descriptor.type = ParameterType.PARAMETER_INTEGER
-        descriptor.integer_range = [IntegerRange(
-            **{end: int(value) for end, value in ends.items()}, step=1)]
+        descriptor.integer_range = [
+            IntegerRange(from_value=int(low), to_value=int(high), step=1)]
     return descriptor
 
 
 def first_line(error: Exception) -> str:
     """Return what an error of rclpy says to a user: its text without the place in rcl."""
     return str(error).partition('\n')[0].partition(', at ')[0] or type(error).__name__
-
-
-def _complain(name: str, text: str, code: int) -> int:
-    with suppress(OSError):         # stderr is full, or its reader has left
-        print(f'{name}: {text}', file=sys.stderr)
-    return code

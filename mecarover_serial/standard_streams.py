@@ -10,7 +10,6 @@ no room are lost, counted, and reported when there is room again.
 """
 from __future__ import annotations
 
-from collections import deque
 from contextlib import suppress
 import faulthandler
 import fcntl
@@ -97,8 +96,7 @@ class _StreamRelay:
         self._source, self._pipe = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         with suppress(OSError):                 # more than a user may have
             fcntl.fcntl(self._pipe, _F_SETPIPE_SZ, _PIPE)
-        self._waiting: deque[bytes] = deque()
-        self._size = 0
+        self._waiting = bytearray()
         self._lost = 0
         self._is_broken = False                 # its reader has gone
 
@@ -128,34 +126,25 @@ class _StreamRelay:
             chunk = os.read(self._source, _KEPT)
             if self._is_broken:
                 return
-            if self._size + len(chunk) > _KEPT:
+            if len(self._waiting) + len(chunk) > _KEPT:
                 self._lost += chunk.count(b'\n')
             else:
-                self._waiting.append(chunk)
-                self._size += len(chunk)
+                self._waiting += chunk
 
     def _pass_on(self) -> None:
         if not self._waiting:
-            self._keep(f'{self._name}: {self._lost} lines of this log are lost, as nothing read '
-                       'it\n')
+            self._waiting += (f'{self._name}: {self._lost} lines of this log are lost, as nothing '
+                              'read it\n').encode()
             self._lost = 0
-        chunk = self._waiting.popleft()
         try:
-            written = os.write(self._target, chunk[:_AT_ONCE])
+            written = os.write(self._target, self._waiting[:_AT_ONCE])
         except BlockingIOError:
             written = 0
         except OSError:
             self._is_broken = True
-            self._waiting.clear()
-            self._size = self._lost = 0
-            return
-        self._size -= written
-        if written < len(chunk):
-            self._waiting.appendleft(chunk[written:])
-
-    def _keep(self, line: str) -> None:
-        self._waiting.append(line.encode())
-        self._size += len(line)
+            self._lost = 0
+            written = len(self._waiting)
+        del self._waiting[:written]
 
     def give_back(self) -> None:
         """Have the descriptors be what they were; if that still takes nothing, it gets nothing."""

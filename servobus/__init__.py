@@ -32,21 +32,27 @@ if TYPE_CHECKING:
     from servobus.sources.opening import open_source
 
 _HOMES = {
-    'msg_defs.event': ('Change', 'Chunk'),
-    'msg_defs.reports': ('Level',),
-    'servobus.bus.decoder': ('Settings',),
-    'servobus.bus.expected': ('Expected', 'parse_all'),
-    'servobus.bus.report': ('BusReport', 'DeviceReport', 'Finding'),
-    'servobus.errors': ('ParameterError', 'ServobusError', 'UsageError'),
-    'servobus.listening': ('Listening', 'listen'),
-    'servobus.model.checked_yaml': ('ModelError',),
-    'servobus.model.models': ('Models',),
-    'servobus.monitor': ('Monitor',),
-    'servobus.port.port_error': ('PortError',),
-    'servobus.plain_data': ('report_data',),
-    'servobus.sources.opening': ('open_source',),
+    'BusReport': 'servobus.bus.report',
+    'Change': 'msg_defs.event',
+    'Chunk': 'msg_defs.event',
+    'DeviceReport': 'servobus.bus.report',
+    'Expected': 'servobus.bus.expected',
+    'Finding': 'servobus.bus.report',
+    'Level': 'msg_defs.reports',
+    'Listening': 'servobus.listening',
+    'ModelError': 'servobus.model.checked_yaml',
+    'Models': 'servobus.model.models',
+    'Monitor': 'servobus.monitor',
+    'ParameterError': 'servobus.errors',
+    'PortError': 'servobus.port.port_error',
+    'ServobusError': 'servobus.errors',
+    'Settings': 'servobus.bus.decoder',
+    'UsageError': 'servobus.errors',
+    'listen': 'servobus.listening',
+    'open_source': 'servobus.sources.opening',
+    'parse_all': 'servobus.bus.expected',
+    'report_data': 'servobus.plain_data',
 }
-_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = [
     'BusReport', 'Change', 'Chunk', 'DeviceReport', 'Expected', 'Finding', 'Level', 'Listening',
     'ModelError', 'Models', 'Monitor', 'ParameterError', 'PortError', 'ServobusError', 'Settings',
@@ -54,10 +60,10 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    if name not in _HOME_OF:
+    if name not in _HOMES:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
     from importlib import import_module
-    found = getattr(import_module(_HOME_OF[name]), name)
+    found = getattr(import_module(_HOMES[name]), name)
     globals()[name] = found
     return found
 

@@ -16,6 +16,7 @@ from msg_defs.event import Chunk
 from msg_defs.reports import Level
 from servobus.bus.decoder import DEFAULTS
 from servobus.bus.report import BusReport
+from servobus.bus.report import Finding
 from servobus.doctor.case import Names
 from servobus.doctor.case import OPTIONS
 from servobus.doctor.finding_log import BusSummary
@@ -114,18 +115,20 @@ class Examination:
         packets = sum(report.counters['Packets'] for report in reports)
         devices = sum(device.last_heard_s is not None for report in reports
                       for device in report.devices)
-        rules = [one.finding.rule.replace('_', ' ') for log in self._logs.values()
-                 for one in log.entries() if one.stands]
+        rules = [one.rule.replace('_', ' ') for one in self._current_findings()]
         return '; '.join([f'{packets} packets, {devices} devices', *rules[:3]])
 
     def worst(self) -> str:
         """Return what is wrong at this moment, the worst of it; '' for nothing."""
-        found = max((one.finding for log in self._logs.values() for one in log.entries()
-                     if one.stands), key=lambda one: one.level, default=None)
+        found = max(self._current_findings(), key=lambda one: one.level, default=None)
         if found is None or found.level is Level.OK:
             return ''
         who = 'the bus' if found.device is None else f'{found.device:03}'
         return f'{who}: {found.rule.replace("_", " ")}: {found.message}'
+
+    def _current_findings(self) -> list[Finding]:
+        """Return what is found at this moment, of all buses."""
+        return [one.finding for log in self._logs.values() for one in log.entries() if one.stands]
 
     def buses(self, is_timed: bool) -> list[BusSummary]:
         """Return each bus as it is shown at the end."""

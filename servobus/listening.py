@@ -141,7 +141,7 @@ class Listening:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
                  trace: TracebackType | None) -> None:
-        self._stack.close()
+        self._stack.__exit__(kind, error, trace)
         if self._calls.mistake is not None and kind is None:
             raise self._calls.mistake
 
@@ -184,24 +184,20 @@ class PortListening(Listening):
         super().__init__(examination, calls)
         self._port = port
         self._wire = Wire('', baud or int(port.baudrate), port=str(port.port))
-        self._failed = ''                      # how the block ended (bus/report.py)
         self.serials = set[Any]()              # for tap_pyserial: more ports are not its matter
 
     def __enter__(self) -> PortListening:
-        self._stack.callback(self._finish)
+        self._stack.push(self._finish)
         self._stack.enter_context(tap_pyserial.tapped(self._port, self))
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
+    def _finish(self, kind: object, error: BaseException | None, trace: object) -> None:
+        failed = ''                            # how the block ended (bus/report.py)
         if isinstance(error, Exception):       # the question before it may be the reason
             of_library = tap_pyserial.packages_of(error) & SERVO_LIBRARIES
-            self._failed = RAISED if of_library or isinstance(error, OSError) else FAILED
-        super().__exit__(kind, error, trace)
-
-    def _finish(self) -> None:
+            failed = RAISED if of_library or isinstance(error, OSError) else FAILED
         with self._lock:
-            self._examination.finish(time.monotonic_ns(), is_over=True, failed=self._failed)
+            self._examination.finish(time.monotonic_ns(), is_over=True, failed=failed)
 
     # What the wrappers of tap_pyserial.py call, as they call a Sender.
 

@@ -238,7 +238,8 @@ class Monitor:
         found = []
         for device in self._by_id():
             with self._lock:
-                found += [one for one in [fresh(device, since)] if one is not None]
+                if (one := fresh(device, since)) is not None:
+                    found.append(one)
         return Joints(tuple(joint for joint, _ in found), max((at for _, at in found), default=0))
 
     def _by_id(self) -> list[Device]:

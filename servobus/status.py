@@ -94,7 +94,9 @@ def bus_status(node: str, bus: str, report: BusReport, port: PortState,
     values += _findings(one for one in report.findings if one.device is None)
     values += _doubts(report.doubts)
     if with_log:
-        values += _running(report) + _errors(report)
+        if report.started:             # how old the times of the errors are: they can be dated
+            values.append((keys.RUNNING, number(round((report.stamp - report.started) / 1e9, 1))))
+        values += _errors(report)
     return Status(status_name(node, f'bus {bus}'.strip()), level, message,
                   hardware_id(node, bus or port.port), values)
 
@@ -114,10 +116,9 @@ def _models(devices: Iterable[DeviceReport]) -> str:
         name = device.model_name
         if device.model_number is not None and not name.startswith('unknown'):
             name += f' ({device.model_number})'
-        if spans and spans[-1][1:] == (device.id - 1, name):
-            spans[-1] = (spans[-1][0], device.id, name)
-        else:
-            spans.append((device.id, device.id, name))
+        is_next = spans and spans[-1][1:] == (device.id - 1, name)
+        first = spans.pop()[0] if is_next else device.id
+        spans.append((first, device.id, name))
     return ', '.join((f'{first:03} ' if first == last else f'{first:03}-{last:03} ') + name
                      for first, last, name in spans)
 
@@ -151,13 +152,6 @@ def _table(device: DeviceReport) -> Pairs:
         seen[field.name] = [round(age_s, 3), source]
     return [*values, (keys.NOT_OBSERVED, str(device.unobserved)),
             (keys.OBSERVED, json.dumps(seen, separators=(',', ':')))]
-
-
-def _running(report: BusReport) -> Pairs:
-    """Spell how old the times of the errors are, so that a reader can date them."""
-    if not report.started:
-        return []
-    return [(keys.RUNNING, number(round((report.stamp - report.started) / 1e9, 1)))]
 
 
 def _errors(report: BusReport) -> Pairs:

@@ -3,7 +3,7 @@
 """
 Our tools as `python -m` runs them, each run a process of its own that need not import them again.
 
-A server has imported them; each run is a fork of it. Importing costs ten times what most runs do.
+A server imports each once; each run is a fork of it. Importing costs ten times what most runs do.
 That a tool starts from nothing is for test_cli.py, test_packaging.py and the tests with Program.
 """
 import atexit
@@ -22,18 +22,12 @@ import sys
 import threading
 
 ROOT = Path(__file__).parents[1]
-TOOLS = {
-    'dxl_dump': 'servobus.tools.dxl_dump', 'dxl_doctor': 'servobus.tools.dxl_doctor',
-    'dxl_replay': 'servobus.tools.replay', 'dxl_tap': 'servobus.tools.tap',
-    'dxl_dashboard': 'mecarover_dashboard.serve',
-    'mecarover_status': 'mecarover_dashboard.terminal',
-    'fake_bus': 'mecarover_fakes.fake_bus', 'fake_mcu': 'mecarover_fakes.fake_mcu'}
 AT_START = ('PYTHON', 'LC_', 'LANG')       # what only a new interpreter reads
 REQUEST_BYTES = 1 << 17
 
 
 class _Server:
-    """A process with the tools imported; it ends when its socket is closed."""
+    """A process that imports tools; it ends when its socket is closed."""
 
     def __init__(self):
         self._requests, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -128,11 +122,14 @@ def _serve(requests):
             request, descriptors, *_ = socket.recv_fds(requests, REQUEST_BYTES, 4)
             if not request:
                 sys.exit()
+            words = json.loads(request)
+            importlib.import_module(words[0])
+            gc.freeze()                    # else each fork tidies up all of it at its end
             if not (pid := os.fork()):
                 signal.set_wakeup_fd(-1)
                 signal.signal(signal.SIGCHLD, signal.SIG_DFL)
                 requests.detach()
-                return json.loads(request), descriptors[:3]
+                return words, descriptors[:3]
             os.write(descriptors[3], b'%d\n' % pid)
             running[pid] = descriptors.pop()
             for descriptor in descriptors:
@@ -159,9 +156,6 @@ def _become(arguments, folder, environment, descriptors):
 
 if __name__ == '__main__':
     sys.path[0] = os.getcwd()
-    for tool in TOOLS.values():
-        importlib.import_module(tool)
-    gc.freeze()                            # else each fork tidies up all of it at its end
     (name, words, folder, environment), ends = _serve(socket.socket(fileno=int(sys.argv[1])))
     _become(words, folder, environment, ends)
     del sys.modules[name]

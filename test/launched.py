@@ -1,6 +1,10 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""A launch file started as `ros2 launch` does it, in a process of its own."""
+"""
+A launch file started as `ros2 launch` does it, in a process of its own.
+
+It starts vel2d_bridge.main or dxl_monitor.start.
+"""
 from contextlib import contextmanager
 import re
 import signal

@@ -11,10 +11,10 @@ import signal
 import subprocess
 import time
 
-from harness import bridge
 from harness import LATE_S
 from harness import wait
 import pytest
+from running_bridge import bridge
 
 from msg_defs.vel2d import STOP
 from rigs.harness import family

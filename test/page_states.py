@@ -3,7 +3,7 @@
 """
 The states of a robot, and what the page, a scrape, an alert and the terminal make of each.
 
-Buses are simulated and judged by the monitor itself; a bridge reports what its own functions say.
+Buses are simulated and judged by the monitor itself.
 The clock is moved on, so that nothing waits for what falls silent.
 """
 from functools import cache
@@ -13,6 +13,7 @@ import time
 from types import SimpleNamespace
 from urllib.request import urlopen
 
+from synthetic_robot import NO_COMMANDS
 from synthetic_robot import serialise
 from synthetic_robot import SyntheticRobot
 import yaml
@@ -29,7 +30,6 @@ from servobus.bus.expected import parse_all
 from servobus.monitor import Monitor
 from servobus.status import PortState
 from servobus.status import statuses_of
-from vel2d_bridge.graph import Absence
 
 ARM = ('1-6:MX-64',)
 ALERTS = (Path(__file__).parents[1] / 'deploy/alerts.yml').read_text()
@@ -68,7 +68,7 @@ class Robot:
             self._bridge.bridge_problem = problem
             if is_idle:
                 self._bridge.velocity = (0.0, 0.0, 0.0)
-                self._bridge.absence = Absence.words('/cmd_vel')
+                self._bridge.absence = NO_COMMANDS
 
     def port_state(self):
         return PortState('/dev/ttyUSB0', self._port, ())

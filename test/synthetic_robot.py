@@ -3,17 +3,21 @@
 """
 A robot that consists of what it publishes: device, bus, bridge and timing statuses, as bytes.
 
-The statuses are made by the same functions as those of the nodes; `serialise` turns them into
-what a subscription gets, so that the dashboard can be tested without ROS.
+The statuses are made by the same functions as those of the nodes, but for those of the bridge:
+test_synthetic_robot.py compares these. `serialise` turns them into what a subscription gets, so
+that the dashboard can be tested without ROS.
 """
 import math
+from pathlib import Path
+
+import yaml
 
 from fuzz.dashboard import cdr
 from msg_defs.reports import Level
 from msg_defs.reports import Metric
 from msg_defs.reports import metric_status
+from msg_defs.reports import Status
 from msg_defs.timing import Summary
-from msg_defs.vel2d import Vel2d
 from servobus.bus import report as words
 from servobus.bus.decoder import Settings
 from servobus.bus.expected import Expected
@@ -27,18 +31,11 @@ from servobus.monitor import Monitor
 from servobus.status import device_metrics
 from servobus.status import PortState
 from servobus.status import statuses_of
-from vel2d_bridge.bridge_status import Commands
-from vel2d_bridge.bridge_status import commands_status
-from vel2d_bridge.bridge_status import link_status
-from vel2d_bridge.gate import Counters
-from vel2d_bridge.gate import FrameKind
-from vel2d_bridge.gate import Gate
-from vel2d_bridge.graph import Choice
-from vel2d_bridge.link import Link
-from vel2d_bridge.mcu_log import McuLog
-from vel2d_bridge.pacer import Sent
 
 NODE = 'dxl_monitor'
+BRIDGE_PORT = '/dev/ttyAMA0'
+BRIDGE = yaml.safe_load(Path(__file__).with_name('bridge_status.yaml').read_text())['published']
+NO_COMMANDS = '/cmd_vel: no node publishes it; start teleop_twist_keyboard or your planner'
 JOINTS = ('left_hip_yaw', 'right_hip_yaw', 'left_hip_roll', 'right_hip_roll', 'left_hip_pitch',
           'right_hip_pitch', 'left_knee', 'right_knee', 'left_ankle_pitch', 'right_ankle_pitch',
           'left_ankle_roll', 'right_ankle_roll', 'left_shoulder_pitch', 'right_shoulder_pitch',
@@ -188,19 +185,21 @@ class SyntheticRobot:
 
     def bridge(self, time_s):
         """Return what vel2d_bridge puts on /diagnostics."""
-        now, is_driving = int(time_s * 1e9), any(self.velocity)
-        sent = Sent(now, Vel2d(*self.velocity), FrameKind.COMMAND, 90_000, None)
-        state = Link('/dev/ttyAMA0', 115200, Gate()).state()._replace(
-            is_open=not self.bridge_problem, problem=self.bridge_problem or None,
-            since=now - 241_500_000_000, openings=1, deadman='ready',
-            frames=int(20 * time_s), last=sent, driving=is_driving, enabled=True)
-        counters = Counters()
-        counters.received = counters.accepted = int(10 * time_s)
-        counters.time_outs = 2
-        commands = Commands('/cmd_vel', Choice('twist', True), 0.5, (), None, 0, None,
-                            absence=self.absence)
-        return [link_status(self._bridge, '/dev/ttyAMA0', state, (), McuLog(), now),
-                commands_status(self._bridge, '/dev/ttyAMA0', state, counters, commands)]
+        speeds = [f'{speed:g}' for speed in self.velocity]
+        doing = 'driving' if any(self.velocity) else 'stopped'
+        commands = str(int(10 * time_s))
+        return [
+            self._of_bridge('link', self.bridge_problem or 'open', [
+                'closed' if self.bridge_problem else 'open', str(int(20 * time_s)), *speeds]),
+            self._of_bridge('commands', '; '.join(filter(None, (doing, self.absence))), [
+                doing, commands, commands])]
+
+    def _of_bridge(self, part, message, filled_in):
+        rest = iter(filled_in)
+        return Status(
+            f'{self._bridge}: {part}',
+            Level.ERROR if message == self.bridge_problem else Level.OK, message, BRIDGE_PORT,
+            [(key, value or next(rest)) for key, value in BRIDGE[part].items()])
 
     def bridge_timing(self, time_s):
         """Return what goes to vel2d/timing."""

@@ -12,12 +12,12 @@ import socket
 import threading
 import time
 
-from harness import bridge
 from harness import DEADLINE_S
 from harness import LATE_S
-from harness import Mcu
 from harness import wait
 import pytest
+from running_bridge import bridge
+from running_bridge import Mcu
 
 from msg_defs.crc import crc32_mpeg2_words
 from msg_defs.vel2d import encode

@@ -13,12 +13,12 @@ import signal
 import subprocess
 import time
 
-from harness import bridge
 from harness import DEADLINE_S
-from harness import Mcu
 from harness import Program
 from harness import ROOT
 import pytest
+from running_bridge import bridge
+from running_bridge import Mcu
 import yaml
 
 from msg_defs.vel2d import STOP
@@ -62,7 +62,7 @@ def test_every_parameter_describes_itself(graph, running):
         for text in (parameter.unit, parameter.range_text):
             assert text in one.description
         ranges = [*one.floating_point_range, *one.integer_range]
-        assert len(ranges) == (parameter.maximum is not None)
+        assert len(ranges) == (parameter.maximum < math.inf)
         assert not ranges or ranges[0].to_value == parameter.maximum
     assert not running.said('no such parameter')
     assert {parameter.name for parameter in PARAMETERS} <= set(graph.parameters(NODE))

@@ -15,10 +15,10 @@ import time
 
 from bridge_family import FULL
 from bridge_family import OUTLIVE_S
-from harness import bridge
 from harness import LATE_S
 from harness import wait
 import pytest
+from running_bridge import bridge
 
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d

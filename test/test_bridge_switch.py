@@ -5,9 +5,9 @@ from pathlib import Path
 import shlex
 import signal
 
-from harness import bridge
 from harness import wait
 import pytest
+from running_bridge import bridge
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1)]
 NODE = '/vel2d_bridge'

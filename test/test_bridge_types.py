@@ -9,11 +9,11 @@ from contextlib import contextmanager
 from functools import partial
 import time
 
-from harness import bridge
 from harness import LATE_S
-from harness import Mcu
 from harness import wait
 import pytest
+from running_bridge import bridge
+from running_bridge import Mcu
 
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d

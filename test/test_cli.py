@@ -1,6 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """What nodes and tools do with their command line, before ROS or a port is even looked at."""
+from argparse import ArgumentTypeError
 import os
 from pathlib import Path
 import re
@@ -8,12 +9,14 @@ import signal
 import subprocess
 import sys
 
+import forked
 from harness import later
 from harness import Program
 import pytest
 
 from mecarover_serial.command import COMMANDS
 from mecarover_serial.parameters import split_ros_args
+from servobus.tools.run import BAUD
 
 EXECUTABLES = Path(__file__).parents[1] / 'resource/executables'
 
@@ -79,6 +82,33 @@ def test_version_with_the_commit(tool):
     failed, commit = subprocess.getstatusoutput(f'git -C {root} rev-parse --short HEAD')
     known = '' if failed or not (root / '.git').exists() else f', commit {commit}'
     assert re.fullmatch(rf'{tool} \(mecarover_serial\) [\d.]+{known}\n', done.stdout)
+
+
+@pytest.mark.parametrize(('arguments', 'remedy'), [
+    (['--check', 'models'], 'did you mean --check-models?'),
+    (['x', '--sumary'], 'did you mean --summary?'),
+    (['x', '--secs=3'], 'did you mean --seconds?'),
+    (['x', '--zzzz'], 'see dxl_dump --help'),
+    (['x', '--instruction', 'wirte'], 'did you mean write?; or give a code like 0x83')])
+def test_a_word_that_is_nearly_right(arguments, remedy):
+    """No option is accepted by its first letters: what they mean changes with each new option."""
+    done = forked.run_text('servobus.tools.dxl_dump', *arguments)
+    assert (done.returncode, done.stdout, done.stderr.count('\n')) == (2, '', 1)
+    assert done.stderr.endswith(f'; {remedy}\n')
+
+
+@pytest.mark.parametrize(('text', 'rate'), [
+    ('115200', 115_200), ('1M', 1_000_000), ('1m', 1_000_000), ('57.6k', 57_600),
+    ('115.2K', 115_200), ('1.152M', 1_152_000), ('4.5M', 4_500_000)])
+def test_a_baud_rate_as_people_write_it(text, rate):
+    assert BAUD(text) == rate
+
+
+@pytest.mark.parametrize('text', ['', 'M', '1G', '0', '0k', '-1M', '57.66666k', 'infM', 'nank',
+                                  '1e99M', '115200.5', '99999M'])
+def test_what_is_no_baud_rate(text):
+    with pytest.raises(ArgumentTypeError, match=': not possible; give a whole number from 1 to '):
+        BAUD(text)
 
 
 def test_a_library_that_went_is_one_line():

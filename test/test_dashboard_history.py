@@ -61,7 +61,8 @@ def writer(path):
 
 def window(at, *values, source=KNEE, level=0):
     values = (*values, *[None] * (6 - len(values)))
-    return Window(at, source, level, values, values)
+    return Window(at, source, level, tuple(
+        None if value is None else (value, value) for value in values))
 
 
 def read(path, from_s=0, to_s=NIGHT * 2, of=()):
@@ -85,13 +86,12 @@ def test_what_is_kept_of_a_window():
     windows, events = looked_at(SyntheticRobot(), [100.0, 101.0, 102.0, 110.0])
     knee = [one for one in windows if one.source.name.endswith('007 left_knee')]
     assert [one.at - NIGHT for one in knee] == [100, 110]
-    lows, highs = (dict(zip(VALUES['devices'], ends, strict=True))
-                   for ends in (knee[0].lows, knee[0].highs))
-    assert lows['temperature'] == 41
-    assert lows['position'] < highs['position']
-    assert (lows['loss'], knee[0].source.unit) == (0, 'A')
+    ranges = dict(zip(VALUES['devices'], knee[0].ranges, strict=True))
+    assert ranges['temperature'][0] == 41
+    assert ranges['position'][0] < ranges['position'][1]
+    assert (ranges['loss'][0], knee[0].source.unit) == (0, 'A')
     bus = next(one for one in windows if one.source.kind == 'buses')
-    assert 30 < bus.lows[0] < 50
+    assert 30 < bus.ranges[0][0] < 50
     assert events == []
 
 
@@ -205,9 +205,9 @@ def test_what_a_device_does_not_say_any_more_is_not_kept(problem):
         robot.port_problem = '/dev/ttyUSB0: gone'
     windows = {one.source.name.rpartition(': ')[2]: one
                for one in looked_at(robot, [100.0, 101.0])[0]}
-    assert windows['007 left_knee'].lows[:4] == (None,) * 4
-    assert (windows['008 right_knee'].lows[1] is None) is (problem == 'port')
-    assert (windows['bus'].lows[0] is None) is (problem == 'port')
+    assert windows['007 left_knee'].ranges[:4] == (None,) * 4
+    assert (windows['008 right_knee'].ranges[1] is None) is (problem == 'port')
+    assert (windows['bus'].ranges[0] is None) is (problem == 'port')
 
 
 def test_what_was_not_recorded_is_said(writer, path):
@@ -242,19 +242,28 @@ def test_values_come_back_also_where_they_did_not_change(writer, path):
     assert read(path, at - 5)[0] == sent
     assert read(path, at + 25)[0] == sent[2:]
     assert read(path, at + 35, of=[KNEE.name])[0] == sent[3:]
+    assert read(path, at - 500, at - 100, of=[KNEE.name])[0] == []
 
 
 def test_a_clock_that_is_set_back(writer, path):
     at = NIGHT // 600 * 600
     writer.write([window(at + 10, 1.0), window(at + 20, 1.0), window(at + 600, 3.0)], [])
     writer.write([window(at, 2.0), window(at + 10, 2.0)], [])
-    assert [one.lows[0] for one in read(path, at)[0]] == [2.0, 2.0, 3.0]
+    assert [one.ranges[0][0] for one in read(path, at)[0]] == [2.0, 2.0, 3.0]
+
+
+def test_a_source_that_could_not_be_written_is_new_once_more(writer, path):
+    with pytest.raises(sqlite3.Error):
+        writer.write([window(NIGHT, 1.0)], [Event(NIGHT, KNEE, 'state', 0, None)])
+    sent = [window(NIGHT, 2.0, source=KNEE._replace(name='dxl_monitor: 008')), window(NIGHT, 3.0)]
+    writer.write(sent, [])
+    assert read(path)[0] == sent
 
 
 def test_impossible_values_are_unknown(writer, path):
     writer.write([window(NIGHT, 1e300, -1e13, 12.0)], [])
     [one] = read(path, NIGHT)[0]
-    assert one.lows[:3] == (None, None, 12.0)
+    assert one.ranges[:3] == (None, None, (12.0, 12.0))
 
 
 def test_a_restart_records_no_error_twice(writer, path):
@@ -293,9 +302,9 @@ def test_how_large_a_day_is(writer):
     sources = [Subject(f'dxl_monitor: {n:03}', 'devices', '', 'A') for n in range(60)]
     for at in range(NIGHT // 600 * 600, NIGHT // 600 * 600 + HOURS, WINDOW_S):
         low = (at % 6280) / 1000
-        writer.write([Window(at, one, 0, (low, 40.0, 11.8, low / 10, 0.0, 0.11),
-                             (low + 1, 41.0, 12.1, low / 10 + 0.2, 0.0, 0.12))
-                      for one in sources], [])
+        writer.write([Window(at, one, 0, (
+            (low, low + 1), (40.0, 41.0), (11.8, 12.1), (low / 10, low / 10 + 0.2), (0.0, 0.0),
+            (0.11, 0.12))) for one in sources], [])
     assert writer.bytes() / 60 * 253 * 24 < history.MOST_BYTES
 
 

@@ -144,3 +144,27 @@ def test_signal_while_it_starts(ros, imported):
     with Program('', script=INTERRUPTED.replace('IMPORTED', imported)) as dashboard:
         assert dashboard.exit_code() == 0, dashboard.text
     assert 'Traceback' not in dashboard.text
+
+
+def test_mecarover_status_once_for_scripts(ros, tmp_path):
+    """Exit codes, with a real monitor: 1 nothing heard, 0 well, 4 a device is lost."""
+    with Program('mecarover_dashboard.terminal', '--once', '--wait', '1') as status:
+        assert status.exit_code() == 1
+        assert 'no report on /diagnostics; start the nodes' in status.text
+    bus = str(tmp_path / 'bus')
+    for name, fault, code, line in (
+            ('well', (), 0, r'ok +well +bus +All 3 devices connected'),
+            ('sick', ('--fault', 'silent:2:0:9999'), 4,
+             r'ERROR +sick +002 +(disconnected|expected|silent)')):
+        with Program('mecarover_fakes.fake_bus', '--link', bus, '--devices', '1-3:MX-64',
+                     *fault) as fake, \
+                Program('dxl_monitor.start', '--ros-args', '-r', f'__ns:=/{name}', '-p',
+                        f'ports:={bus}', '-p', "devices:=['1-3:MX-64']") as monitor:
+            fake.wait_for('2000000 baud')
+            monitor.wait_for('open at')
+            with Program('mecarover_dashboard.terminal') as live:
+                live.wait_for('002' if fault else 'All 3')
+            with Program('mecarover_dashboard.terminal', '--once', '--ros-args', '-r',
+                         f'__ns:=/{name}') as status:
+                assert status.exit_code() == code, status.text
+            assert re.search(line, status.text), status.text

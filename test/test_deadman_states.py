@@ -41,6 +41,7 @@ WAY = {                                 # the events that lead from idle to a st
     'searching': [OPENS, LOSES, SILENT], 'last stops': [OPENS, DIES],
     'last search': [OPENS, LOSES, DIES]}
 ZERO = encode(STOP)
+MARK = b'\xff'                          # written to the port after what the dead man writes
 
 
 class OutOfEvents(Exception):
@@ -62,7 +63,8 @@ class Rehearsal:
         self._waits = 0                 # still to pass before the next event
         self._is_silent = False
         self._link = str(folder / 'mcu')
-        self._pty = Pty(self._link)
+        self._pty = None
+        self.plug_in()
         self._claim, self._stranger = PortClaim(), PortClaim()
         self._channel, its_channel = socket.socketpair()
         self._queue, its_queue = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -82,7 +84,7 @@ class Rehearsal:
         finally:
             self._stranger.drop()
             if self._pty is not None:
-                self._pty.close()
+                self.unplug()
 
     # In place of the modules time and readable.
 
@@ -137,10 +139,14 @@ class Rehearsal:
         return 'stopping' if has_port else 'searching'
 
     def _read_zeros(self):
-        try:
-            data = b'' if self._pty is None else os.read(self._pty.master, 4096)
-        except BlockingIOError:
+        if self._pty is None:
             return 0
+        os.write(self._end, MARK)       # comes after them, however late the kernel is
+        data = b''
+        while not data.endswith(MARK):
+            watching_readable([self._pty.master], 1.0)
+            data += os.read(self._pty.master, 4096)
+        data = data.removesuffix(MARK)
         count = len(data) // len(ZERO)
         assert data == ZERO * count
         self.zeros += count
@@ -189,8 +195,10 @@ class Rehearsal:
     def plug_in(self):
         if self._pty is None:
             self._pty = Pty(self._link)
+            self._end = os.open(self._pty.path, os.O_WRONLY | os.O_NOCTTY)
 
     def unplug(self):
+        os.close(self._end)
         self._pty.close()
         self._pty = None
 

@@ -12,7 +12,6 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 
-from harness import MODULES
 from harness import Program
 from harness import wait
 import pytest
@@ -22,6 +21,7 @@ from docs.generate import BRIDGE
 from docs.generate import MONITOR
 from docs.generate import PAGES
 from mecarover_serial import launch_arguments
+from mecarover_serial.command import COMMANDS
 from mecarover_serial.launch_arguments import arguments_of
 from servobus.doctor import RULES
 
@@ -272,7 +272,7 @@ def test_policy_allows_what_a_running_node_uses_and_little_more(
         '/vel2d/timing/callback_to_write_ms', '/vel2d/timing/command_period_ms',
         '/vel2d/timing/stamp_age_ms', '/dxl/joint_states', '/clock'}
     with Program(*fake, '--link', str(tmp_path / 'port')), \
-            Program(MODULES[node], '--ros-args', '-p', f'{link}:={tmp_path}/port'):
+            Program(COMMANDS[node], '--ros-args', '-p', f'{link}:={tmp_path}/port'):
         used_publish, used_subscribe, used_reply = running(
             graph, node, lambda used: publish - optional <= used[0])
     assert used_publish <= publish

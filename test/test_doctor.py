@@ -124,12 +124,12 @@ def test_the_worst_comes_first_and_is_the_message(monkeypatch):
 
 
 @pytest.mark.parametrize(('identity', 'names', 'message'), [
-    (b'', PARAMETERS, "connected; model unknown, so its registers have no names: add '1:MODEL' to "
-     '`devices`, or let the master read Model Number'),
-    (b'', OPTIONS, "connected; model unknown, so its registers have no names: add '1:MODEL' to "
-     '--devices, or let the master read Model Number'),
+    (b'', PARAMETERS, 'connected; model not known, so registers have no names and some causes '
+     'cannot be found; add ID:MODEL to `devices`, or let your program ping the servos'),
+    (b'', OPTIONS, 'connected; model not known, so registers have no names and some causes '
+     'cannot be found; add ID:MODEL to --devices, or let your program ping the servos'),
     (b'\x67\x12\x01', PARAMETERS,
-     'connected; no model file, so its registers have no names: add one to `model_dirs`'),
+     'connected; model 4711 has no model file: add one to `model_dirs`'),
 ])
 def test_a_device_whose_registers_have_no_names_says_so(identity, names, message):
     bus = Bus()

@@ -7,13 +7,13 @@ import sys
 
 import pytest
 
-from mecarover_serial.domain_lock import BENCHMARKS
-from mecarover_serial.domain_lock import DEMOS
-from mecarover_serial.domain_lock import ReservedDomain
-from mecarover_serial.domain_lock import TESTS
+from mecarover_fakes.domain_lock import BENCHMARKS
+from mecarover_fakes.domain_lock import DEMOS
+from mecarover_fakes.domain_lock import ReservedDomain
+from mecarover_fakes.domain_lock import TESTS
 
 MINE = range(1000 + os.getpid() * 2, 1002 + os.getpid() * 2)       # never one of ROS
-TAKE = 'import sys; from mecarover_serial.domain_lock import ReservedDomain; print(' \
+TAKE = 'import sys; from mecarover_fakes.domain_lock import ReservedDomain; print(' \
     'ReservedDomain(range(int(sys.argv[1]), int(sys.argv[1]) + 2)).number)'
 
 

@@ -14,6 +14,7 @@ import os
 from pathlib import Path
 import random
 import re
+import select
 import signal
 import socket
 import subprocess
@@ -33,6 +34,7 @@ from mecarover_fakes.line import Line
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
 from msg_defs.event import Chunk
+from msg_defs.reports import Level
 from msg_defs.uart import byte_ns
 from msg_defs.uart import heard_at
 from servobus.bus.report import FAILED
@@ -52,9 +54,13 @@ from servobus.tools.doctor import no_data
 from servobus.tools.doctor.answer_screen import screen
 from servobus.tools.doctor.error_window import ErrorWindow
 from servobus.tools.doctor.program import Ending
+from servobus.tools.doctor.verdict import DeviceGroup
 from servobus.tools.doctor.verdict import ERROR
 from servobus.tools.doctor.verdict import make_verdict
 from servobus.tools.doctor.verdict import NOTHING_HEARD
+from servobus.tools.doctor.verdict import OpenPoint
+from servobus.tools.doctor.verdict import Trouble
+from servobus.tools.doctor.verdict import Verdict
 from servobus.tools.doctor.verdict import WARNING
 from servobus.tools.doctor.verdict import WELL
 
@@ -211,7 +217,47 @@ def test_a_hundred_devices_are_one_screen_too():
     lines = screen(said(heard('silent:40:1', devices=devices, seconds=4.0), devices))
     assert len(lines) < 24
     assert any('040' in line for line in lines)
+    shown = ' '.join(lines)
+    assert all(f'{number:03}' in shown for number in range(1, 101))
 
+
+def test_without_a_height_nothing_is_cut():
+    """However many devices, findings and open points there are, and however long their texts."""
+    text = 'a cause, and what to do about it; ' * 12
+    found = Verdict(
+        'bus.txt', (), tuple(DeviceGroup(f'{number:03}', f'model {number}', Level.OK)
+                             for number in range(40)),
+        tuple(Trouble(Level.ERROR, f'{number:03} arm ' * 20, 'no_answer', f'{text}{number}', text)
+              for number in range(20)),
+        (text,) * 5, (), cycles=(text,) * 5,
+        not_sure=tuple(OpenPoint(f'{number:03} leg ' * 20, '', text, text)
+                       for number in range(9)))
+    lines = screen(found, height=None)
+    assert max(map(len, lines)) <= 80
+    assert not any('...' in line or '--full' in line for line in lines)
+    shown = ' '.join(' '.join(lines).split())
+    assert shown.count(text.strip()) == 20 * 2 + 5 + 5 + 9 * 2
+    assert all(shown.count(f'{number:03} arm') == 20 for number in range(20))
+    assert all(f'model {number} ' in shown for number in range(40))
+    assert all(f'model {number} ' in ' '.join(screen(found)) + ' ' for number in range(40))
+
+
+def test_it_is_whole_where_there_is_no_screen_and_on_one_with_full(tmp_path):
+    path = capture(tmp_path / 'bus.txt', *FAULTS[-1])
+    near, far = os.openpty()
+    shown = []
+    for more in ((), ('--full',)):
+        forked.run(DOCTOR, path, *more, stdout=far,
+                   env={**os.environ, 'LINES': '24', 'COLUMNS': '80', 'NO_COLOR': '1'})
+        text = b''
+        while select.select([near], [], [], 0)[0]:
+            text += os.read(near, 4096)
+        shown.append(text.decode().splitlines())
+    os.close(near)
+    os.close(far)
+    cut, whole = shown
+    assert len(cut) < 24 <= len(whole)
+    assert whole == doctor(path).stdout.splitlines()
 
 def test_a_file_to_the_screen_and_to_programs(tmp_path):
     path = capture(tmp_path / 'bus.txt', 'silent:4:2')
@@ -224,6 +270,56 @@ def test_a_file_to_the_screen_and_to_programs(tmp_path):
     assert (done.returncode, found['exit']) == (ERROR, ERROR)
     assert [(one['rule'], one['device']) for one in found['buses'][0]['findings']] \
         == [('no_answer', 4)]
+
+
+def parts(schema):
+    """Yield all objects of a schema."""
+    if isinstance(schema, dict):
+        yield schema
+    for one in schema.values() if isinstance(schema, dict) else schema:
+        if isinstance(one, dict | list):
+            yield from parts(one)
+
+
+@cache
+def validator():
+    """Return what checks an output of --json; a key that the schema does not name is an error."""
+    jsonschema = pytest.importorskip('jsonschema', reason='skipped: no jsonschema here')
+    schema = json.loads((ROOT / 'docs/dxl_doctor.schema.json').read_text())
+    jsonschema.Draft202012Validator.check_schema(schema)
+    for part in parts(schema):
+        if 'properties' in part:
+            part['additionalProperties'] = False
+        kinds = part.get('type', ())
+        assert bool(kinds) <= bool(part.get('description'))
+        is_number = {'number', 'integer'} & {*([kinds] if isinstance(kinds, str) else kinds)}
+        assert bool(is_number) == ('unit' in part), part
+    return jsonschema.Draft202012Validator(schema)
+
+
+@pytest.mark.parametrize(('faults', 'code', 'key'), [
+    ((), WELL, 'buses'), (FAULTS[-1], ERROR, 'buses'), (None, NOTHING_HEARD, 'nothing_heard')])
+def test_the_schema_describes_an_answer(tmp_path, faults, code, key):
+    path = tmp_path / 'bus.txt'
+    if faults is None:
+        path.write_bytes(b'')
+    else:
+        capture(path, *faults)
+    done = doctor(path, '--json')
+    found = json.loads(done.stdout)
+    validator().validate(found)
+    assert (done.returncode, found['exit'], bool(found[key])) == (code, code, True)
+
+
+@pytest.mark.parametrize(('arguments', 'code'), [
+    (['no_such_file.txt'], 1), (['/dev/ttyNone'], 1), (['serial://'], 1),
+    (['README.md', '--flight-recorder', 'faults'], 2)])
+def test_a_failure_is_json_too(arguments, code):
+    done = doctor('--json', *arguments)
+    failure = json.loads(done.stdout)
+    validator().validate(failure)
+    assert (done.returncode, failure['exit']) == (code, code)
+    assert done.stderr == f"dxl_doctor: {failure['error']}\n"
 
 
 def test_a_file_without_a_byte(tmp_path):
@@ -314,6 +410,7 @@ def test_a_program_that_ends_on_a_question(error, code, rules, meeting_place):
     done = doctor('--json', 'run', '--', sys.executable, '-c', RAISES.format(error=error),
                   env={'XDG_RUNTIME_DIR': meeting_place, 'PYTHONPATH': str(ROOT)})
     found = json.loads(done.stdout)                    # what the program prints is not there
+    validator().validate(found)
     assert 'begins' in done.stderr
     assert [one['rule'] for one in found['buses'][0]['findings']] == rules
     assert (done.returncode, found['program']['exit'] != 0) == (code, True)
@@ -329,6 +426,32 @@ for _ in range(20):
     port.read(6)
 input()
 """
+
+
+ASKS_ON = """
+import select
+import sys
+import serial
+port = serial.Serial({!r}, 1000000, timeout=0.01)
+while not select.select([sys.stdin], [], [], 0)[0]:
+    port.write(bytes((255, 255, 1, 2, 1, 251)))
+    port.read(6)
+"""
+
+
+@pytest.mark.realtime(bears=0.02)
+def test_the_first_finding_comes_while_the_program_runs(meeting_place, tmp_path):
+    with Pty(str(tmp_path / 'bus')) as pty, subprocess.Popen(
+            [sys.executable, '-m', DOCTOR, 'run', '--', sys.executable, '-c',
+             ASKS_ON.format(pty.path)],
+            env={**os.environ, 'XDG_RUNTIME_DIR': meeting_place}, cwd=ROOT, text=True,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as tool:
+        first = next(line for line in tool.stderr if 'no answer' in line)
+        assert first.startswith('dxl_doctor: 001: no answer: ')
+        assert tool.poll() is None
+        answer, more = tool.communicate('\n', timeout=60)
+    assert 'no answer' not in more and '\033' not in first + more
+    assert 'error, 001: no answer' in answer
 
 
 @pytest.mark.realtime(bears=0.02)

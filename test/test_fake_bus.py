@@ -7,11 +7,14 @@ import itertools
 import json
 import os
 from pathlib import Path
+import signal
+import socket
 import subprocess
 import sys
 import time
 
 from harness import later
+from harness import Program
 from harness import wait
 import pytest
 from whole_truth import LEARNING
@@ -27,9 +30,11 @@ from mecarover_fakes.faults import parse as parse_fault
 from mecarover_fakes.line import Line
 from mecarover_fakes.line import wire_ns
 from mecarover_fakes.master import Master
+from mecarover_fakes.traffic import Ask
 from mecarover_fakes.traffic import PATTERNS
 from mecarover_fakes.virtual_uart import CAPACITY
 from mecarover_fakes.virtual_uart import VirtualUart
+from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import KINDS as INSTRUCTIONS
 from msg_defs.dxl_packet import Framer
 from servobus.bus.decoder import Settings
@@ -49,8 +54,10 @@ FAST_DEVICES = ('1-10:XL430-W250', '11-15:XM540-W270')     # two different ones
 def make_master(pattern='moving', faults=(), *, devices=DEFAULT_DEVICES, baud=BAUD,
                 waits_in_line=True, **options):
     line = Line(make_devices(list(devices), MODELS, baud), baud, waits_in_line=waits_in_line)
-    return Master(line, PATTERNS[pattern], faults=[parse_fault(text) for text in faults],
-                  truth=WholeTruth(line), **options)
+    master = Master(line, PATTERNS[pattern], faults=[parse_fault(text) for text in faults],
+                    **options)
+    master.truth = WholeTruth(line)
+    return master
 
 
 def play(master, seconds=3.0):
@@ -342,3 +349,81 @@ def test_command_plays_tells_totals_and_truth(tmp_path):
 def test_command_lists_faults():
     result = run_tool('--list-faults')
     assert [line.split()[0] for line in result.stdout.splitlines()] == list(KINDS)
+
+
+def test_faults_begin_and_end_on_command():
+    master = make_master('none', devices=['1-3:MX-106'])
+
+    def answers(now):
+        return {number for number in (1, 2, 3)
+                if len(master.respond(Ask(number, Instruction.PING, b''), now * S)) == 2}
+
+    assert answers(10) == {1, 2, 3}
+    master.command('silent:2', 11 * S)
+    master.command('silent:3::4', 11 * S)
+    master.command('silent:1:2', 11 * S)
+    assert answers(12) == {1}
+    assert answers(14) == set()
+    assert answers(16) == {3}
+    master.command('back silent:1', 17 * S)
+    assert answers(18) == {1, 3}
+    master.command('back', 19 * S)
+    assert answers(20) == {1, 2, 3}
+
+
+@pytest.mark.parametrize(('command', 'words'), [
+    ('back silent:1', 'fault: silent is not on like that; `back` ends all'),
+    ('silent:9', 'no device has this ID'), ('slient', "there is no fault 'slient'; did you mean"),
+    ('', 'there is no fault'), ('back again', "there is no fault 'again'")])
+def test_commands_that_are_none(command, words):
+    with pytest.raises(ParameterError, match=words):
+        make_master('none', devices=['1-3:MX-106']).command(command, 0)
+
+
+def test_commands_come_through_a_socket(tmp_path):
+    place = str(tmp_path / 'control')
+    child = subprocess.Popen(
+        [sys.executable, '-m', 'mecarover_fakes.fake_bus', '--pattern', 'none', '--devices',
+         '1:MX-106', '--link', str(tmp_path / 'bus'), '--control', place],
+        stdout=subprocess.PIPE, text=True)
+    try:
+        assert child.stdout.readline().startswith('fake_bus: ')
+        with socket.socket(socket.AF_UNIX) as end, end.makefile('rw') as lines:
+            end.connect(place)
+            for command, answer in (('silent:1', 'ok'), ('back silent:1', 'ok'),
+                                    ('silent:2', 'fault: silent:2: no device has this ID'),
+                                    ('\xff' * 5000, 'fault: there is no fault')):
+                lines.write(f'{command}\n')
+                lines.flush()
+                assert lines.readline().startswith(answer)
+    finally:
+        child.terminate()
+        child.communicate()
+    assert child.returncode == 0
+    assert not os.path.exists(place)
+
+
+@pytest.mark.parametrize(('place', 'words'), [
+    ('file', 'in use'), ('none/control', 'No such file')])
+def test_a_socket_that_cannot_be_made_is_named(tmp_path, place, words):
+    (tmp_path / 'file').write_text('mine')
+    done = run_tool('--control', str(tmp_path / place), '--seconds', '0')
+    assert (done.returncode, 'Traceback' in done.stderr) == (2, False)
+    assert words in done.stderr and str(tmp_path / place) in done.stderr
+    assert (tmp_path / 'file').read_text() == 'mine'
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('tool', ['fake_bus', 'fake_mcu'])
+def test_a_launch_file_starts_it_as_a_node_and_ends_it(tmp_path, tool, number):
+    link = tmp_path / 'link'
+    with Program(f'mecarover_fakes.{tool}', '--link', str(link), '--ros-args', '-r',
+                 '__node:=fake', '-r', '__ns:=/rover1', '-p', 'use_sim_time:=true',
+                 '--params-file', '/tmp/launch_params') as fake:
+        fake.wait_for(str(link))
+        assert fake.children() == []
+        fake.signal(number)
+        fake.signal(signal.SIGTERM)         # an impatient user: the totals come all the same
+        assert fake.exit_code() == 0
+    assert fake.said('totals: ')
+    assert not link.is_symlink()

@@ -24,14 +24,14 @@ from bridge_faults import CMD_VEL_TIMEOUT_S
 from bridge_faults import COMMANDS
 from bridge_faults import LINK
 from bridge_faults import Rover
-from harness import bridge
 from harness import loose_contact
-from harness import Mcu
 from harness import no_descriptors
 from harness import Program
 from harness import starving
 from harness import wait
 import pytest
+from running_bridge import bridge
+from running_bridge import Mcu
 
 from msg_defs.vel2d import STOP
 from rigs.cable import Cable

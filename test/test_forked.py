@@ -12,15 +12,17 @@ from msg_defs.dxl_packet import encode
 
 
 @pytest.mark.parametrize(('tool', 'words', 'code'), [
-    ('dxl_dump', ['-', '--summary'], 0), ('dxl_dump', ['--help'], 0),
-    ('dxl_doctor', ['no_such_file'], 1), ('fake_bus', ['--devices', '1:MX-10\xf6'], 2)])
+    ('servobus.tools.dxl_dump', ['-', '--summary'], 0),
+    ('servobus.tools.dxl_dump', ['--help'], 0),
+    ('servobus.tools.dxl_doctor', ['no_such_file'], 1),
+    ('mecarover_fakes.fake_bus', ['--devices', '1:MX-10\xf6'], 2)])
 def test_it_prints_and_ends_as_in_a_new_interpreter(tool, words, code, tmp_path):
     said = tmp_path / 'bus.bin'
     said.write_bytes(encode(1, Instruction.PING))
     with said.open('rb') as stdin:
-        new = subprocess.run([sys.executable, '-m', forked.TOOLS[tool], *words], stdin=stdin,
+        new = subprocess.run([sys.executable, '-m', tool, *words], stdin=stdin,
                              cwd=forked.ROOT, capture_output=True, check=False)
     with said.open('rb') as stdin:
-        fork = forked.run(forked.TOOLS[tool], *words, stdin=stdin)
+        fork = forked.run(tool, *words, stdin=stdin)
     assert fork.returncode == code
     assert (fork.returncode, fork.stdout, fork.stderr) == (new.returncode, new.stdout, new.stderr)

@@ -167,7 +167,7 @@ def test_a_finding(copy):
     code = copy('a finding')
     code.change('servobus/doctor/rules/devices.py',
                 ('RULES = (', """\
-@Rule(each_device=True, symptoms={'proof'})
+@Rule(symptoms={'proof'})
 def nameless(case: Case, device: DeviceReport) -> Found | None:
     \"\"\"
     No joint name.

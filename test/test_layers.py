@@ -7,7 +7,6 @@ Each rule is one test over all files, which lists every place that breaks it.
 """
 import ast
 from collections import defaultdict
-from functools import cache
 import io
 import os
 from pathlib import Path
@@ -15,17 +14,14 @@ import re
 import statistics
 import tokenize
 
-ROOT = Path(__file__).parents[1]
-LAYERS = {                              # package: what of ours it may import
-    'msg_defs': {'msg_defs'},
-    'servobus': {'msg_defs', 'servobus'},
-    'mecarover_serial': {'msg_defs', 'servobus', 'mecarover_serial'},
-    'vel2d_bridge': {'msg_defs', 'servobus', 'mecarover_serial', 'vel2d_bridge'},
-    'dxl_monitor': {'msg_defs', 'servobus', 'mecarover_serial', 'dxl_monitor'},
-    'mecarover_dashboard': {'msg_defs', 'servobus', 'mecarover_serial', 'mecarover_dashboard'},
-    'mecarover_fakes': {'msg_defs', 'servobus', 'mecarover_serial', 'mecarover_dashboard',
-                        'mecarover_fakes'},
-}
+from rigs.packages import imported
+from rigs.packages import imports
+from rigs.packages import LAYERS
+from rigs.packages import modules
+from rigs.packages import parsed
+from rigs.packages import ROOT
+import servobus
+
 # Rooms of servobus: its folders, and what its other modules are.
 BASE = ('errors', 'plain', 'internal_fault', 'worker')
 CORE = ('monitor', 'joints', 'signals', 'status')
@@ -41,27 +37,13 @@ ROOMS = {                               # room of servobus: which others it may 
     'tools': {'base', 'model', 'bus', 'doctor', 'core', 'port', 'sources', ''},
 }
 BRIDGE_USES = {'base', 'port'}          # of servobus: it drives, and knows no servos
+OTHERS_USE = ROOMS.keys() - {'bus', 'doctor'}       # but for the modules of public names
+PUBLIC = {'servobus.doctor', *(getattr(servobus, name).__module__ for name in servobus.__all__)}
 ROS = ('rclpy', 'rcl_interfaces', 'launch', 'launch_ros', 'ament_index_python', 'std_srvs',
        'builtin_interfaces')
 PURE = ('msg_defs', 'servobus/bus', 'servobus/doctor')      # no IO, no clock
 IO = {'os', 'socket', 'select', 'time', 'serial', 'subprocess', 'pathlib'}
 FILES = [path for package in LAYERS for path in sorted((ROOT / package).rglob('*.py'))]
-
-
-@cache
-def parsed(path):
-    return ast.parse(path.read_text())
-
-
-def imports(path, known=()):
-    """Yield what a file imports; `from a import b` is a.b if that is a known module."""
-    for node in ast.walk(parsed(path)):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f'{path}: relative import'
-            yield from {full if (full := f'{node.module}.{alias.name}') in known else node.module
-                        for alias in node.names}
 
 
 def is_ros(module):
@@ -98,19 +80,6 @@ def test_benchmarks_use_the_rigs_and_no_rig_a_benchmark():
             if any(module.startswith('benchmark') for module in imports(path))] == []
 
 
-def modules():
-    """Return the file of each module of ours, equipment among it, by its name in imports."""
-    return {'.'.join(path.relative_to(place).with_suffix('').parts).removesuffix('.__init__'): path
-            for place, folders in ((ROOT, (*LAYERS, 'docs')),
-                                   (ROOT / 'test', ('benchmark', 'rigs', 'fuzz')))
-            for folder in folders for path in (place / folder).rglob('*.py')}
-
-
-def imported(path, known):
-    """Return which of the known modules a file imports, wherever in it."""
-    return sorted(set(imports(path, known)) & known.keys())
-
-
 def circle_in(arrows):
     """Return a circle in {module: [modules that it imports]}, [] where there is none."""
     done, way = set(), []
@@ -141,16 +110,32 @@ def room_of(parts):
         else 'core' if parts[1] in CORE else ''
 
 
+def rooms_for(module):
+    """Return which rooms of servobus a module may import, from the parts of its name."""
+    if module[0] == 'servobus':
+        return {*ROOMS[room_of(module)], room_of(module)}
+    return BRIDGE_USES if module[0] == 'vel2d_bridge' else \
+        OTHERS_USE if module[0] in LAYERS else ROOMS
+
+
 def test_arrows_between_rooms_go_downward():
     wrong = []
     for name, path in modules().items():
-        here = name.split('.')
-        for module in imports(path, modules()):
-            there = module.split('.')
-            allowed = BRIDGE_USES if here[0] == 'vel2d_bridge' else \
-                {*ROOMS[room_of(here)], room_of(here)} if here[0] == 'servobus' else ROOMS
-            if there[0] == 'servobus' and room_of(there) not in allowed:
-                wrong.append(f'{name} imports {module}')
+        allowed = rooms_for(name.split('.'))
+        public = PUBLIC if allowed is OTHERS_USE else ()
+        wrong += [f'{name} imports {module}' for module in imports(path, modules())
+                  if module.partition('.')[0] == 'servobus' and module not in public
+                  and room_of(module.split('.')) not in allowed]
+    assert wrong == []
+
+
+def test_no_package_imports_private_names_of_another():
+    wrong = []
+    for path in FILES:
+        others = tuple(f'{one}.' for one in LAYERS.keys() - {path.relative_to(ROOT).parts[0]})
+        wrong += [f'{path} imports {node.module}.{one.name}' for node in ast.walk(parsed(path))
+                  if isinstance(node, ast.ImportFrom) and f'{node.module}.'.startswith(others)
+                  for one in node.names if '._' in f'{node.module}.{one.name}']
     assert wrong == []
 
 

@@ -9,6 +9,7 @@ import shlex
 import forked
 import pytest
 
+from mecarover_serial.command import COMMANDS
 from rigs.tables import rows_of
 
 CAPTURE = '# dxl_capture 2 began 2026-09-21T14:13:20.000000Z at 1.000000000\n'
@@ -33,7 +34,7 @@ def names(tmp_path):
 @pytest.mark.parametrize(('program', 'typed', 'code', 'said'), ROWS)
 def test_a_mistake_is_one_line(program, typed, code, said, names):
     before = names['capture'].read_bytes()
-    done = forked.run(forked.TOOLS[program],
+    done = forked.run(COMMANDS[program],
                       *(word.format(**names) for word in shlex.split(typed)))
     assert (done.returncode, done.stdout) == (int(code), b'')
     [line] = done.stderr.decode().splitlines()

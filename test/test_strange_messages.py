@@ -3,11 +3,11 @@
 """What no node should send and any node can: rclpy raises at it, and both nodes live on."""
 from types import SimpleNamespace
 
-from harness import bridge
 from harness import DEADLINE_S
 from harness import Program
 from harness import wait
 import pytest
+from running_bridge import bridge
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1)]
 NO_TYPE = 99                    # a ParameterValue has types up to 9

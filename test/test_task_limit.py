@@ -17,10 +17,10 @@ import subprocess
 import tempfile
 import time
 
-from harness import bridge
 from harness import Program
 from harness import wait
 import pytest
+from running_bridge import bridge
 
 from rigs.cable import Cable
 from rigs.harness import children

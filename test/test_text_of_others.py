@@ -40,6 +40,7 @@ from servobus.sources.capture import Writer
 from servobus.sources.tap_reader import _Connection
 from servobus.tools.doctor import issue_report
 
+DUMP, DOCTOR, REPLAY = (f'servobus.tools.{name}' for name in ('dxl_dump', 'dxl_doctor', 'replay'))
 # Colour, title, clear screen, C1, bidi override, line separators, a bell: and a line of our own.
 EVIL = '=evil\x1b[31m\x1b]0;t\x07\x1b[2J\x9b31m\u202e\u2028\r\nall is well\x00\x7f'
 LONE = '\udc9b'                 # a byte that is no UTF-8, as Python has it in a name of a file
@@ -53,7 +54,7 @@ def is_safe(text):
 
 def run(tool, *arguments):
     """Return the exit code and what a tool prints, colours left out."""
-    done = forked.run(forked.TOOLS[tool], *arguments)
+    done = forked.run(tool, *arguments)
     text = (done.stdout + done.stderr).decode()
     assert 'Traceback' not in text
     return done.returncode, re.sub('\033\\[[0-9;]*m', '', text)
@@ -83,23 +84,23 @@ def capture(tmp_path):
 
 
 @pytest.mark.parametrize(('tool', 'arguments'), [
-    ('dxl_dump', []), ('dxl_dump', ['--json']), ('dxl_dump', ['--color', 'always', '--summary']),
-    ('dxl_dump', ['--stats', '--changes']), ('dxl_dump', ['--devices', f'{EVIL}/1:MX-64']),
-    ('dxl_doctor', []), ('dxl_doctor', ['--json']),
-    ('dxl_replay', ['--bus', EVIL]), ('dxl_replay', ['--link', f'/nowhere/{EVIL[:-2]}'])])
+    (DUMP, []), (DUMP, ['--json']), (DUMP, ['--color', 'always', '--summary']),
+    (DUMP, ['--stats', '--changes']), (DUMP, ['--devices', f'{EVIL}/1:MX-64']),
+    (DOCTOR, []), (DOCTOR, ['--json']),
+    (REPLAY, ['--bus', EVIL]), (REPLAY, ['--link', f'/nowhere/{EVIL[:-2]}'])])
 def test_a_capture(capture, tool, arguments):
     arguments = [text.replace('\0', '') for text in arguments]
     assert is_safe(run(tool, capture, *arguments)[1])
 
 
 def test_what_is_recorded_of_a_capture_is_safe(capture, tmp_path):
-    run('dxl_dump', capture, '-w', str(tmp_path / 'again.txt'))
+    run(DUMP, capture, '-w', str(tmp_path / 'again.txt'))
     assert is_safe((tmp_path / 'again.txt').read_text())
     assert '%1B' not in (tmp_path / 'again.txt').read_text()
 
 
 def test_a_capture_that_is_played(capture, tmp_path):
-    with Program(forked.TOOLS['dxl_replay'], capture, '--speed', '0', '--link',
+    with Program(REPLAY, capture, '--speed', '0', '--link',
                  str(tmp_path / 'bus'), '--bus', printable(f'{EVIL} answers')) as player:
         player.wait_for('waiting for a reader')
         with suppress(OSError), open(tmp_path / 'bus', 'rb', buffering=0) as reader:
@@ -116,7 +117,7 @@ def test_a_report(tmp_path, arguments):
     clean = tmp_path / 'bus.txt'
     clean.write_bytes(captured('bus'))
     made = tmp_path / 'report.txt'
-    run('dxl_doctor', str(clean), '--report', str(made))
+    run(DOCTOR, str(clean), '--report', str(made))
     head, stored, _ = re.split('^# (?:verdict|capture)$', made.read_text(), flags=re.MULTILINE)
 
     def evil(value):
@@ -131,18 +132,18 @@ def test_a_report(tmp_path, arguments):
     made.write_text('\n'.join([head, issue_report.VERDICT, json.dumps(stored),
                                issue_report.CAPTURE,
                                *issue_report.packed(captured(EVIL)), issue_report.END]))
-    code, text = run('dxl_doctor', str(made), *arguments)
+    code, text = run(DOCTOR, str(made), *arguments)
     assert code == 4
     assert is_safe(text)
     assert 'also shows wrong baud of bus =evil' in text
 
 
 @pytest.mark.parametrize(('tool', 'arguments'), [
-    ('dxl_dump', ['{}']), ('dxl_dump', ['--check-models', '{}']),
-    ('dxl_dump', ['-', '--model-dirs', '{}']), ('dxl_dump', ['-', '-w', '{}/no/x']),
-    ('dxl_doctor', ['{}']), ('dxl_doctor', ['--report', '{}/x', 'setup.py']),
-    ('dxl_doctor', ['--explain', '{}']), ('dxl_replay', ['{}']),
-    ('dxl_dashboard', ['--history', '{}/no/x', '--port', '0'])])
+    (DUMP, ['{}']), (DUMP, ['--check-models', '{}']),
+    (DUMP, ['-', '--model-dirs', '{}']), (DUMP, ['-', '-w', '{}/no/x']),
+    (DOCTOR, ['{}']), (DOCTOR, ['--report', '{}/x', 'setup.py']),
+    (DOCTOR, ['--explain', '{}']), (REPLAY, ['{}']),
+    ('mecarover_dashboard.serve', ['--history', '{}/no/x', '--port', '0'])])
 @pytest.mark.parametrize('exists', [True, False])
 def test_a_name_of_a_file(tmp_path, tool, arguments, exists):
     name = str(tmp_path / EVIL.replace('\0', '')) + LONE
@@ -161,7 +162,7 @@ def history(tmp_path):
     path = tmp_path / 'history.sqlite'
     writer = HistoryWriter(path)
     source = Subject('dxl_monitor: 001', 'devices', '', 'A')
-    writer.write([Window(1000, source, 2, (-1.0,) * 6, (1.0,) * 6)],
+    writer.write([Window(1000, source, 2, ((-1.0, 1.0),) * 6)],
                  [Event(1000.0, source, 'state', 2, 'text')])
     writer.close()
     database = sqlite3.connect(path)

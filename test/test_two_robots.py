@@ -6,10 +6,10 @@ from importlib import util
 import signal
 import time
 
-from harness import bridge
 from harness import Program
 from harness import wait
 import pytest
+from running_bridge import bridge
 from test_dashboard_ros import Running
 from test_dashboard_server import Stream
 

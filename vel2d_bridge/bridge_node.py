@@ -102,7 +102,7 @@ class Bridge:
         self._inspection = Inspection(self._port, [DEADMAN_NAME])
         self._known_complaints: set[str] = set()
         self._known_freezes = 0
-        self._refused: tuple[Outcome, int] | None = None
+        self._refused: tuple[Outcome | None, int] = None, 0
         self._last_logged: dict[Outcome, int] = {}     # ns, by reason
         self._levels: list[Level] = []
         self._not_kept = ''                         # why switching off would not outlast a restart
@@ -112,8 +112,7 @@ class Bridge:
         if not self._link.gate.enabled:             # the file has said so: it is one switch
             self.node.set_parameters([Parameter('enabled', value=False)])
         self._subscriber = CmdVelSubscriber(
-            self.node, self._values['message_type'], self._on_command, self._on_type,
-            self._on_left)
+            self.node, self._values['message_type'], self._on_command, self._on_type)
         warn_of_overrides(self.node, [f'{self._subscriber.topic}.subscription'])
         self._graph_check = GraphCheck(self.node)
         self._graph_complaints: list[str] = []
@@ -230,9 +229,6 @@ class Bridge:
         self._log.info(f'{self._subscriber.topic}: the message type is {message_type} now; the '
                        'bridge follows it')
 
-    def _on_left(self) -> None:
-        self._log.info(f'{self._subscriber.topic}: its last publisher has ended')
-
     # The port's thread calls these
 
     def _on_sent(self, sent: Sent) -> None:
@@ -324,7 +320,7 @@ class Bridge:
     def _statuses(self) -> list[Status]:
         now = time.monotonic_ns()
         name, state, subscriber = full_name(self.node), self._link.state(), self._subscriber
-        verdict, refused_at = self._refused or (None, 0)
+        verdict, refused_at = self._refused
         commands = Commands(
             subscriber.topic, subscriber.subscribed, self._values['cmd_vel_timeout'],
             [*(f'{self._port}: {line}'

@@ -85,28 +85,26 @@ def removed_limits(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
 
 def warnings(values: dict[str, Any]) -> list[str]:
     """Say what is possible and probably not meant, a line each."""
-    lines = []
     timeout, rate = values['cmd_vel_timeout'], values['max_rate']
-    if timeout == 0:
-        lines.append('cmd_vel_timeout: 0 holds the last command for ever when its publisher '
-                     'dies; set 0.5')
-    elif timeout * rate < 2:
-        lines.append(f'cmd_vel_timeout: {timeout:g} s is less than two frames at max_rate '
-                     f'{rate:g} Hz, so commands expire before they are sent; set '
-                     f'cmd_vel_timeout to {math.ceil(200 / rate) / 100:g} s or more')
-    if values['resend_rate'] == 0:
-        lines.append('resend_rate: 0 sends each set-point once, so a lost frame is not sent '
-                     'again; set 20')
-    if rate > 33:
-        lines.append(f'max_rate: {rate:g} Hz is more than the MCU takes (one set-point per 30 '
-                     'ms), so the rover reacts late; set 30')
-    if values['baud'] < SLOWEST_BAUD:
-        lines.append(f'baud: {values["baud"]} bit/s is too slow for the rover to stop in the time '
-                     f'that is promised; set {SLOWEST_BAUD} or more')
-    if values['max_stamp_age'] and values['message_type'] != TWIST_STAMPED:
-        lines.append('max_stamp_age: a Twist has no time stamp and is accepted at any age; set '
-                     'message_type to twist_stamped')
-    if not values['deadman']:
-        lines.append('deadman: false, so the rover drives on when this process is killed; set '
-                     'true')
-    return lines
+    lines = {
+        'cmd_vel_timeout: 0 holds the last command for ever when its publisher dies; set 0.5':
+            timeout == 0,
+        f'cmd_vel_timeout: {timeout:g} s is less than two frames at max_rate {rate:g} Hz, so '
+        'commands expire before they are sent; set cmd_vel_timeout to '
+        f'{math.ceil(200 / rate) / 100:g} s or more':
+            0 < timeout * rate < 2,
+        'resend_rate: 0 sends each set-point once, so a lost frame is not sent again; set 20':
+            values['resend_rate'] == 0,
+        f'max_rate: {rate:g} Hz is more than the MCU takes (one set-point per 30 ms), so the '
+        'rover reacts late; set 30':
+            rate > 33,
+        f'baud: {values["baud"]} bit/s is too slow for the rover to stop in the time that is '
+        f'promised; set {SLOWEST_BAUD} or more':
+            values['baud'] < SLOWEST_BAUD,
+        'max_stamp_age: a Twist has no time stamp and is accepted at any age; set message_type '
+        'to twist_stamped':
+            values['max_stamp_age'] and values['message_type'] != TWIST_STAMPED,
+        'deadman: false, so the rover drives on when this process is killed; set true':
+            not values['deadman'],
+    }
+    return [line for line, is_so in lines.items() if is_so]

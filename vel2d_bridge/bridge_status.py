@@ -124,14 +124,11 @@ def link_status(node: str, port: str, state: LinkState, warnings: Sequence[str],
 def commands_status(node: str, port: str, state: LinkState, counters: Counters,
                     commands: Commands) -> Status:
     """Are commands heard, taken, and frequent enough."""
-    complaints = _complaints(node, state, commands)
-    level = Level.WARN if complaints else Level.OK
-    if state.owes_stop:
-        level = Level.ERROR
-    message = _first(complaints) if complaints else \
-        '; '.join(filter(None, (_state_word(state), commands.absence)))
-    name = status_name(node, 'commands')
-    return Status(name, level, message, hardware_id(node, port), pairs({
+    level, message = Level.OK, '; '.join(filter(None, (_state_word(state), commands.absence)))
+    if complaints := _complaints(node, state, commands):
+        level = Level.ERROR if state.owes_stop else Level.WARN
+        message = _first(complaints)
+    return Status(status_name(node, 'commands'), level, message, hardware_id(node, port), pairs({
         keys.TOPIC: commands.topic,
         keys.MESSAGE_TYPE: commands.choice.message_type,
         'Reliability': 'reliable' if commands.choice.reliable else 'best effort',
@@ -200,8 +197,8 @@ def _state_word(state: LinkState) -> str:
 
 
 def _first(complaints: Sequence[str]) -> str:
-    more = len(complaints) - 1
-    return complaints[0] + (f' (and {more} more)' if more else '')
+    first, *more = complaints
+    return f'{first} (and {len(more)} more)' if more else first
 
 
 def _numbered(complaints: Sequence[str]) -> dict[str, str]:

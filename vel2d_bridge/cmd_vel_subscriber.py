@@ -46,13 +46,13 @@ class CmdVelSubscriber:
     Hears cmd_vel.
 
     `on_command(twist, waited, stamp_age)`: ns in the middleware, ns since the stamp (None: the
-    type has none, or it is zero). `on_type(message_type)` comes before a switch, `on_left()` when
-    the last publisher has left. `complaints` are all current ones, `warnings` those for the log.
+    type has none, or it is zero). `on_type(message_type)` comes before a switch. `complaints` are
+    all current ones, `warnings` those for the log.
     """
 
     def __init__(self, node: Node, setting: str,
                  on_command: Callable[[Any, int, int | None], object],
-                 on_type: Callable[[str], object], on_left: Callable[[], object]) -> None:
+                 on_type: Callable[[str], object]) -> None:
         self.topic = node.resolve_topic_name('cmd_vel')
         self.choice = choose(setting, Choice(TWIST, True), [])
         self.complaints: list[str] = []
@@ -62,7 +62,6 @@ class CmdVelSubscriber:
         self._setting = setting
         self._on_command = on_command
         self._on_type = on_type
-        self._on_left = on_left
         self._absence = Absence(time.monotonic_ns())
         self._wall = WallClock()
         self._overrides = _overridden(node, self.topic)
@@ -92,7 +91,7 @@ class CmdVelSubscriber:
     def _judge(self, publishers: list[Publisher]) -> None:
         now = time.monotonic_ns()
         if self._absence.observe(bool(publishers), now):
-            self._on_left()
+            self._node.get_logger().info(f'{self.topic}: its last publisher has ended')
         self.complaints = complaints(self.choice, publishers, self.topic, self._other_bridges())
         self.absence = Absence.words(self.topic) if self._absence.is_long(now) else ''
 

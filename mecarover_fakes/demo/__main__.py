@@ -8,8 +8,11 @@ Every process is started as a user would start it, every figure comes out of a f
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 import json
+import math
 import os
+import re
 import socket
 import sys
 import tempfile
@@ -27,8 +30,8 @@ from mecarover_fakes.demo.scenes import SceneResult
 from mecarover_fakes.demo.scenes import SCENES
 from mecarover_fakes.demo.scenes import TakenSetPoint
 from mecarover_fakes.demo.scenes import TIME_OUT_BOUND_S
-from mecarover_serial.domain_lock import DEMOS
-from mecarover_serial.domain_lock import ReservedDomain
+from mecarover_fakes.domain_lock import DEMOS
+from mecarover_fakes.domain_lock import ReservedDomain
 from mecarover_serial.node_command_line import no_ros
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
@@ -65,14 +68,15 @@ def _main(arguments: list[str]) -> int:
     print(f'demo: to see its topics: export ROS_DOMAIN_ID={domain}', flush=True)
     with tempfile.TemporaryDirectory(prefix='mecarover-') as folder, ProcessGroup() as group:
         demo = DemoRun(group, operator, folder, _page_port(domain))
+        verdicts = demo.verdicts
         try:
-            verdicts = demo.run(options.seconds)
+            demo.run(options.seconds)
         except KeyboardInterrupt:
-            verdicts = demo.verdicts
+            pass
         finally:
             operator.close()
         group.close()
-        verdicts.append(demo.compare_missed())
+        demo.compare_missed()
         verdicts += [SceneResult(one.name, one.exit_code == 0, f'ended with {one.exit_code}')
                      for one in reversed(group.processes)]
     return _conclude(verdicts)
@@ -93,7 +97,6 @@ class DemoRun:
         self.verdicts: list[SceneResult] = []
         self._operator = operator
         self._set_points: list[TakenSetPoint] = []
-        self._read = 0
         mcu = os.path.join(folder, 'mcu')
         bus = os.path.join(folder, 'bus')
         print(f'demo: fake MCU on {mcu}, fake Dynamixel bus on {bus}', flush=True)
@@ -110,35 +113,37 @@ class DemoRun:
         self._dashboard = group.start('mecarover_dashboard.serve', '--port', page_port,
                                         '--history', 'none')
 
-    def run(self, seconds: float | None) -> list[SceneResult]:
+    def run(self, seconds: float | None) -> None:
         """Play scene after scene; with a time limit, every scene once and then until it ends."""
-        begin = time.monotonic()
-        self._await_ready(begin + READY_S)
-        self.verdicts.append(self._see_dashboard())
-        started = time.monotonic()
-        round_ = 0
-        while seconds is None or round_ == 0 or time.monotonic() - started < seconds:
+        self._await(self._are_nodes_ready)
+        self._load_dashboard()
+        end = math.inf if seconds is None else time.monotonic() + seconds
+        is_first = True
+        while is_first or time.monotonic() < end:
             for scene in SCENES:
                 self._play(scene)
-            round_ += 1
+            is_first = False
         self.verdicts += self._devices.verdicts(SILENT_ID)
-        return self.verdicts
 
-    def compare_missed(self) -> SceneResult:
+    def compare_missed(self) -> None:
         """Compare what the monitor counted with what the fake bus, which has ended, knows."""
         try:
             with open(self._truth, encoding='utf-8') as file:
                 truth = json.load(file)
         except (OSError, ValueError) as error:
-            return SceneResult(MISSED, False, f'the fake bus gave no counts: {error}')
-        verdict = judge_missed(self._devices.missed(), truth)
-        print(f'  {verdict.mark}  {MISSED:24} {verdict.text}', flush=True)
-        return verdict
+            self._add(SceneResult(MISSED, False, f'the fake bus gave no counts: {error}'))
+        else:
+            self._add(judge_missed(self._devices.missed(), truth))
 
-    def _await_ready(self, deadline: float) -> None:
-        """Wait until the bridge listens and the monitor reports."""
-        while not (self._operator.is_heard() and self._devices.devices()):
-            self._operator.command(STOP)
+    def _add(self, verdict: SceneResult) -> None:
+        self.verdicts.append(verdict)
+        mark = 'ok    ' if verdict.passed else 'FAILED'
+        print(f'  {mark}  {verdict.scene:24} {verdict.text}', flush=True)
+
+    def _await(self, is_so: Callable[[], object]) -> None:
+        """Wait for something that all processes are needed for."""
+        deadline = time.monotonic() + READY_S
+        while not is_so():
             self._operator.spin(COMMAND_PERIOD_S)
             for process in self._group.processes:
                 if process.exit_code is not None:
@@ -146,21 +151,27 @@ class DemoRun:
             if time.monotonic() > deadline:
                 raise OSError(f'not ready after {READY_S:g} s; the computer may be too busy')
 
-    def _see_dashboard(self) -> SceneResult:
+    def _are_nodes_ready(self) -> bool:
+        """Tell whether the bridge listens and the monitor reports."""
+        self._operator.command(STOP)
+        return self._operator.is_heard() and bool(self._devices.devices())
+
+    def _address(self) -> str:
+        """Return the address that the dashboard has printed, '' before."""
+        found = re.search(r'http://\S+', ' '.join(list(self._dashboard.lines)))
+        return found[0] if found else ''
+
+    def _load_dashboard(self) -> None:
         """Say where the page is, and load it."""
-        deadline = time.monotonic() + READY_S
-        while not (line := next((one for one in self._dashboard.lines if 'http://' in one), '')):
-            if time.monotonic() > deadline:
-                return SceneResult('dashboard', False, f'no address after {READY_S:g} s')
-            self._operator.spin(COMMAND_PERIOD_S)
-        address = line[line.find('http://'):].split(' ')[0]
-        print(f'demo: dashboard on {address}', flush=True)
+        self._await(self._address)
+        address = self._address()
         try:
             with urllib.request.urlopen(address, timeout=READY_S) as page:
-                loaded = '<title>' in page.read().decode()
+                is_page = '<title>' in page.read().decode()
         except (OSError, ValueError) as error:
-            return SceneResult('dashboard', False, f'{address}: {error}')
-        return SceneResult('dashboard', loaded, address)
+            self._add(SceneResult('dashboard', False, f'{address}: {error}'))
+        else:
+            self._add(SceneResult('dashboard', is_page, address))
 
     def _play(self, scene: Scene) -> None:
         begin = time.monotonic()
@@ -175,10 +186,8 @@ class DemoRun:
             self._operator.forget()
             self._bridge.start()
         elif scene.name == 'restarted':
-            self._await_ready(end + READY_S)
-        verdict = judge(scene, begin, end, self._set_points)
-        self.verdicts.append(verdict)
-        print(f'  {verdict.mark}  {scene.name:24} {verdict.text}', flush=True)
+            self._await(self._are_nodes_ready)
+        self._add(judge(scene, begin, end, self._set_points))
 
     def _listen(self, seconds: float) -> None:
         """Take what topics and the MCU say for so long, and show it."""

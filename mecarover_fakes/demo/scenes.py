@@ -52,7 +52,6 @@ class TakenSetPoint(NamedTuple):
     velocity: Vel2d
 
 
-
 class SceneResult(NamedTuple):
     """Whether a scene went as it should, and the figure that shows it."""
 
@@ -60,19 +59,14 @@ class SceneResult(NamedTuple):
     passed: bool
     text: str
 
-    @property
-    def mark(self) -> str:
-        """How it went, in a word of six columns."""
-        return 'ok    ' if self.passed else 'FAILED'
-
 
 def judge(scene: Scene, begin: float, end: float,
           set_points: Sequence[TakenSetPoint]) -> SceneResult:
     """Judge a scene that ran from `begin` to `end` (s) by the changes of set-points at the MCU."""
-    during = [one for one in set_points if begin <= one.stamp <= end]
     if scene.command is None or scene.command is _NAN:
         return _judge_stillness(scene, begin, end, set_points)
-    followed = [one for one in during if _close(one.velocity, scene.command)]
+    followed = [one for one in set_points
+                if begin <= one.stamp <= end and _close(one.velocity, scene.command)]
     if not followed:
         return SceneResult(scene.name, False, 'its set-point never reached the MCU')
     text = f'reached the MCU after {followed[0].stamp - begin:.2f} s'

@@ -86,14 +86,13 @@ def expected_packets(report: BusReport) -> tuple[ExpectedPacket, ...]:
     is_2 = report.protocol.startswith(PROTOCOL_2)
     longest = MAX_LENGTH - 4 if is_2 else MAX_LENGTH_1 - 2     # bytes of data in a status
     found: dict[ExpectedPacket, None] = {}
+    sizes: dict[int, int] = {Instruction.WRITE: 0, Instruction.PING: 3 if is_2 else 0}
     for cycle in report.cycles:
         code = cycle.instruction
-        if code in (Instruction.READ, Instruction.SYNC_READ) and cycle.length <= longest:
-            found.update((_status(number, cycle.length, is_2), None) for number in cycle.ids)
-        elif code == Instruction.WRITE:
-            found[_status(cycle.ids[0], 0, is_2)] = None
-        elif code == Instruction.PING and len(cycle.ids) == 1:
-            found[_status(cycle.ids[0], 3 if is_2 else 0, is_2)] = None
+        size = sizes.get(code, cycle.length)
+        if size <= longest and (code in (Instruction.READ, Instruction.SYNC_READ)
+                                or (code in sizes and len(cycle.ids) == 1)):
+            found.update((_status(number, size, is_2), None) for number in cycle.ids)
     return tuple(found)
 
 
@@ -126,12 +125,9 @@ def damaged_packets(noise: bytes, due: Sequence[ExpectedPacket]) -> list[Damaged
 def _nearest(noise: bytes, at: int, due: Sequence[ExpectedPacket]) -> ExpectedPacket | None:
     best, least = None, KNOWN_BITS_MAX_WRONG
     for shape in due:
-        known = shape.known
-        got = noise[at:at + len(known)]
-        if len(got) < len(known):
-            continue
-        share = wrong_bits(got, known) / (8 * len(known))
-        if share < least:
+        got = noise[at:at + len(shape.known)]
+        share = wrong_bits(got, shape.known) / (8 * len(shape.known))
+        if share < least and len(got) == len(shape.known):
             best, least = shape, share
     return best
 

@@ -134,9 +134,11 @@ class Case:
     highest: dict[int, float] = field(default_factory=dict)    # V of each device, since the start
     turned: set[int] = field(default_factory=set)      # devices that were seen turning
 
-    @cached_property
-    def now(self) -> int:
-        return self.report.stamp
+    def __post_init__(self) -> None:
+        report = self.report
+        self.now = report.stamp
+        self.devices, self.cycles = report.devices, report.cycles
+        self.has_sides, self.failed = report.has_sides, report.failed
 
     def incidents(self, kind: IncidentKind[D],
                   device: DeviceReport | None = None) -> list[Incident[D]]:
@@ -192,23 +194,22 @@ class Case:
     @cached_property
     def spoilt(self) -> int:
         """How many answers were missed where there was damage or noise."""
-        return sum(device.window.spoilt for device in self.report.devices)
+        return sum(device.window.spoilt for device in self.devices)
 
     @cached_property
-    def devices(self) -> dict[int, DeviceReport]:
-        return {device.id: device for device in self.report.devices}
+    def by_id(self) -> dict[int, DeviceReport]:
+        return {device.id: device for device in self.devices}
 
     @cached_property
     def gone(self) -> list[int]:
         """Devices that were asked again and again and say nothing any more."""
-        return [device.id for device in self.report.devices
-                if is_gone(device, self.report.has_sides)]
+        return [device.id for device in self.devices if is_gone(device, self.has_sides)]
 
     @cached_property
     def values(self) -> dict[int, dict[str, Observed]]:
         """The observed fields by device and name."""
         return {device.id: {one.field.name: one for one in device.observed}
-                for device in self.report.devices}
+                for device in self.devices}
 
     @cached_property
     def blur_ms(self) -> float:
@@ -226,7 +227,7 @@ class Case:
 
     def was_anything_asked(self, begin: int, end: int, but: Cycle) -> bool:
         """Tell whether anything else was asked between two stamps, or in the same chunks."""
-        return any(begin <= stamp <= end for cycle in self.report.cycles if cycle is not but
+        return any(begin <= stamp <= end for cycle in self.cycles if cycle is not but
                    for stamp in cycle.stamps)
 
     def recent_counts(self, device: DeviceReport, seconds: float) -> Counts:
@@ -256,8 +257,8 @@ class Case:
 
     def waits(self, seconds: float) -> list[Wait]:
         """Return the vain waits of the master since so long ago."""
-        before = self.now - int(seconds * NS_PER_S)
-        return [wait for wait in self.report.waits if wait.stamp >= before]
+        since = self.stamp_ago(seconds)
+        return [wait for wait in self.report.waits if wait.stamp >= since]
 
 
 def key_of(cycle: Cycle) -> Key:
@@ -265,7 +266,7 @@ def key_of(cycle: Cycle) -> Key:
     return cycle.instruction, cycle.ids, cycle.address
 
 
-def is_gone(device: DeviceReport, has_sides: bool = False) -> bool:
+def is_gone(device: DeviceReport, has_sides: bool) -> bool:
     """Tell whether a device is asked and gives no sign of life for longer than a start takes."""
     silent = device.state == words.DISCONNECTED or (
         device.state in (words.EXPECTED, words.ASKED) and device.missed_in_a_row > 4)
@@ -416,7 +417,7 @@ class History:
         self._last = incidents[-1] if incidents else None
 
     def _store_samples(self, case: Case, before: int) -> None:
-        for device in case.report.devices:
+        for device in case.devices:
             values = case.values[device.id]
             is_new = device.id not in self._turned
             if is_new and 'Present Velocity' in values \

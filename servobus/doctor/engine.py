@@ -9,8 +9,6 @@ lasts until that is seen again (standing.py), and what another claim accounts fo
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 from msg_defs.reports import Level
 from msg_defs.reports import worst
 from msg_defs.units import NS_PER_S
@@ -137,7 +135,7 @@ def _finding(one: StandingClaim) -> Finding:
 def found_by(rule: Rule, case: Case) -> list[Found]:
     """Return what a rule finds, where what it needs is known."""
     try:
-        if not (rule.each_device or rule.needs_incident):
+        if not rule.each_device:
             return [*rule.check(case)]
         return [found._replace(device=device.id) for device in _devices_to_check(rule, case)
                 if (found := rule.check(case, device)) is not None]
@@ -146,16 +144,15 @@ def found_by(rule: Rule, case: Case) -> list[Found]:
         return []
 
 
-def _devices_to_check(rule: Rule, case: Case) -> Iterator[DeviceReport]:
-    """Yield the devices that a rule is asked of."""
-    devices = case.report.devices
-    if rule.needs_incident:
-        numbers = {one.device for kind in rule.needs_incident for one in case.incidents(kind)}
-        devices = tuple([device for device in devices if device.id in numbers])
-    for device in devices:
-        if (device.model.protocol in rule.protocols or not rule.protocols) \
-                and not (rule.needs_model and device.model.number is None):
-            yield device
+def _devices_to_check(rule: Rule, case: Case) -> list[DeviceReport]:
+    """Return the devices that a rule is asked of."""
+    numbers = {one.device for kind in rule.needs_incident for one in case.incidents(kind)}
+    return [device for device in case.devices
+            if (not rule.needs_incident or device.id in numbers)
+            and (not rule.needs_registers
+                 or rule.needs_registers <= case.values[device.id].keys())
+            and (not rule.protocols or device.model.protocol in rule.protocols)
+            and not (rule.needs_model and device.model.number is None)]
 
 
 def _report_with(case: Case, findings: tuple[Finding, ...],

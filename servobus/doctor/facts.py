@@ -9,8 +9,11 @@ talked at the same time, which no cable and no ground can mend.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import lru_cache
 from math import inf
+from math import isclose
+from math import tau
 from operator import sub
 from typing import NamedTuple
 
@@ -33,6 +36,8 @@ from servobus.doctor.bit_errors import TWO_SENDERS
 from servobus.doctor.bit_errors import wrong_bits
 from servobus.doctor.case import Case
 from servobus.doctor.thresholds import INCIDENTS_MIN
+from servobus.doctor.thresholds import TURN_STEPS
+from servobus.model.control_table import Field
 
 LOST_BITS_MIN_SHARE = 0.3          # share of damaged instructions; bits turned over by chance: 0.1
 TAIL_BYTES = 6                     # the CRC is among them, so they are not there by chance
@@ -101,7 +106,24 @@ def is_watched(case: Case, device: DeviceReport, place: Observed) -> bool:
     return any(device.id in one.ids and one.address is not None and len(one.stamps) > INCIDENTS_MIN
                and one.address <= place.field.at < one.address + one.length
                and max(map(sub, one.stamps[1:], one.stamps)) < WATCHED_EVERY_NS
-               for one in case.report.cycles)
+               for one in case.cycles)
+
+
+def raw_value(case: Case, device: DeviceReport, name: str) -> float | None:
+    """Return the raw value of a register as it was read or written last."""
+    seen = case.values[device.id].get(name)
+    return None if seen is None else seen.value.raw
+
+
+def is_of_one_turn(field: Field) -> bool:
+    """Tell whether a position is in steps of which a turn has 4096."""
+    return isclose(TURN_STEPS * (field.scale or 0.0), tau, abs_tol=0.005)
+
+
+def span(places: Iterable[float | None]) -> float:
+    """Return how far apart places are; -1 where none is known."""
+    known = [place for place in places if place is not None]
+    return max(known) - min(known) if known else -1.0
 
 
 def is_off(torque: Observed | None) -> bool:
@@ -114,14 +136,14 @@ def is_off(torque: Observed | None) -> bool:
 def fatal_wait(case: Case) -> Wait | None:
     """Return the vain wait on which a program ended with an error, None if that is unknown."""
     last = case.last_wait
-    if not case.report.failed or last is None or last.is_spoilt or fatal_late_answer(case):
+    if not case.failed or last is None or last.is_spoilt or fatal_late_answer(case):
         return None
-    if case.report.failed == words.RAISED:
+    if case.failed == words.RAISED:
         return last
-    answered = min((one.last_heard_s for one in case.report.devices
+    answered = min((one.last_heard_s for one in case.devices
                     if one.last_heard_s is not None), default=0.0)
     is_ping = last.instruction == Instruction.PING
-    silent = sum(one.last_heard_s is None for one in case.report.devices)
+    silent = sum(one.last_heard_s is None for one in case.devices)
     if is_ping and silent > 1:
         return None                    # a search
     alike = [one.stamp for one in case.report.waits
@@ -134,7 +156,7 @@ def fatal_late_answer(case: Case) -> Incident[ev.Lateness] | None:
     last = case.last_wait
     asked = [one.stamp - 1000 * one.detail.us for one in case.incidents(ev.LEFT_OPEN)] \
         if last is None else [last.stamp - 1000 * last.us]
-    return next((one for one in case.incidents(ev.LATE) if case.report.failed
+    return next((one for one in case.incidents(ev.LATE) if case.failed
                  and asked and one.stamp > asked[-1]), None)
 
 
@@ -149,7 +171,7 @@ def may_overlap(case: Case) -> bool:
     if is_collision(case) or case.has_overlaps:
         return True
     # Where the sides are known, it would have been seen that somebody did not wait.
-    return not case.report.has_sides \
+    return not case.has_sides \
         and case.damage_picture().get('looks like', '').startswith(TWO_SENDERS)
 
 
@@ -169,7 +191,7 @@ def is_collision(case: Case) -> bool:
     damaged = case.incidents(ev.DAMAGED_INSTRUCTION)
     if len(damaged) < INCIDENTS_MIN:
         return False
-    used = {front for cycle in case.report.cycles if (front := _front_of(cycle)) is not None}
+    used = {front for cycle in case.cycles if (front := _front_of(cycle)) is not None}
     mixed = sum(_has_lost_bits(one.detail, used) for one in damaged)
     return mixed >= INCIDENTS_MIN and mixed >= LOST_BITS_MIN_SHARE * len(damaged)
 
@@ -201,7 +223,7 @@ def ran_into_answers(case: Case) -> int:
     """Return how many questions ran into an answer, as far as the last noise shows it."""
     noise = case.report.noise
     found = 0
-    for cycle in case.report.cycles if case.damage else ():
+    for cycle in case.cycles if case.damage else ():
         packet = packet_of(cycle.instruction, cycle.ids, cycle.address, cycle.length)
         at = noise.find(packet[-TAIL_BYTES:]) if packet else -1
         while at >= 0:

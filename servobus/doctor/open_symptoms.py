@@ -136,16 +136,16 @@ def _misses_answers(report: BusReport, device: DeviceReport) -> bool:
 def _missed(report: BusReport, device: DeviceReport) -> _Symptom:
     seen = f'{device.totals.missed} of {device.totals.asked} answers missed'
     waits = [one.us for one in report.waits if one.device == device.id]
-    plugs = 'a loose plug'
-    swap = 'swap its cable with another servo: if the loss goes with the cable, that is bad'
     if not report.has_sides:
-        causes, step = f'{plugs}, or a second program', \
+        causes, step = 'a loose plug, or a second program', \
             f'{STOP_OTHERS}: if answers are still missed, check its plugs'
     elif waits and min(waits) < ADAPTER_HOLD_US:
-        causes, step = f'a time-out of {min(waits) / 1000:.0f} ms that is too short, or {plugs}', \
+        causes, step = \
+            f'a time-out of {min(waits) / 1000:.0f} ms that is too short, or a loose plug', \
             'raise the time-out to 50 ms: if no answer is missed then, it was too short'
     else:
-        causes, step = f'{plugs}, or a servo that is busy or restarts', swap
+        causes, step = 'a loose plug, or a servo that is busy or restarts', \
+            'swap its cable with another servo: if the loss goes with the cable, that is bad'
     return _Symptom({'missed answers', 'damaged answers', 'absence'}, seen, causes, step,
                     device.id)
 

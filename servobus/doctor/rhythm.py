@@ -155,19 +155,29 @@ def answer_ns(cycle: Cycle, baud: int) -> float:
     return len(cycle.ids) * (STATUS_BYTES + cycle.length) * byte_ns(baud)
 
 
+def answered_within_ns(cycle: Cycle, baud: int) -> float:
+    """Return within how long the answers to an instruction are on the wire, or just over."""
+    return 1.2 * answer_ns(cycle, baud) + REPEAT_WITHIN_NS
+
+
 def _rhythm(cycle: Cycle, baud: int) -> Rhythm:
     periods = tuple(map(sub, cycle.stamps[1:], cycle.stamps))
     ordered = sorted(periods)
     return Rhythm(cycle, periods, ordered[len(ordered) // 2], spread_of(ordered),
-                  ordered[len(ordered) // 4], 1.2 * answer_ns(cycle, baud) + REPEAT_WITHIN_NS)
+                  ordered[len(ordered) // 4], answered_within_ns(cycle, baud))
 
 
 def spread_of(periods: Sequence[int]) -> float:
     """Return the distance from the 10th to the 90th percentile, relative to the median."""
+    low, middle, high = percentiles(periods)
+    return (high - low) / middle if middle > 0 else 0.0
+
+
+def percentiles(periods: Sequence[int]) -> tuple[int, int, int]:
+    """Return the 10th, 50th and 90th percentile."""
     ordered = sorted(periods)
-    middle = ordered[len(ordered) // 2]
     edge = len(ordered) // 10
-    return (ordered[-1 - edge] - ordered[edge]) / middle if middle > 0 else 0.0
+    return ordered[edge], ordered[len(ordered) // 2], ordered[-1 - edge]
 
 
 # --- two instructions ----------------------------------------------------------------------------

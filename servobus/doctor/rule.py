@@ -16,12 +16,14 @@ from collections.abc import Mapping
 from collections.abc import Set
 from dataclasses import dataclass
 from dataclasses import replace
+from inspect import signature
 from math import log
 from typing import Any
 from typing import NamedTuple
 
 from msg_defs.reports import Level
 from servobus.bus.report import IncidentKind
+from servobus.doctor.symptom import PROOF
 from servobus.doctor.symptom import Symptom
 
 ANSWER = 'answer'                  # for `rests_on`: the last answer to any instruction
@@ -83,26 +85,29 @@ class Rule:
     the bus; those of all devices, where it is about the bus.
     """
 
-    symptoms: Set[Symptom]         # what its findings consist of
+    symptoms: Set[Symptom] = PROOF         # what its findings consist of
     accounts_for: Set[Symptom] = frozenset()
     subject: str = 'device'        # or 'bus', or both
     level: Level = Level.WARN
     onset_s: float = 0.0           # claimed without a break for so long, before it is reported
     holds: bool = True             # lasts some seconds longer than its evidence; a state does not
-    each_device: bool = False
-    # What it is asked of: all, or where there are such incidents, models of these protocols, a
-    # model that was named: the registers alone may be known by what the program uses.
+    # What it is asked of: all, or where there are such incidents, values of these registers,
+    # models of these protocols, a model that was named: the registers alone may be known by what
+    # the program uses.
     needs_incident: tuple[IncidentKind[Any], ...] = ()
+    needs_registers: Set[str] = frozenset()
     protocols: tuple[str, ...] = ()
     needs_model: bool = False
-    name: str = ''                 # as in the key finding.<name>
-    # From a case to what is found; with `each_device` or `needs_incident` from a case and a
-    # device to what is found of it, or None. Set by the decorator.
+    # Set by the decorator. name: as in the key finding.<name>; check: from a case to what is
+    # found, or from a case and a device to what is found of that, or None.
+    name: str = ''
     check: Callable[..., Any] = iter
+    each_device: bool = False
 
     def __call__(self, check: Callable[..., Any]) -> Rule:
         """Return the rule with its check."""
-        return replace(self, name=check.__name__, check=check)
+        return replace(self, name=check.__name__, check=check,
+                       each_device=len(signature(check).parameters) > 1)
 
 
 def share(part: float, whole: float) -> str:

@@ -57,7 +57,7 @@ def standing_claim(case: Case, rule: Rule, claim: Claim,
 
 def kept_claim(case: Case, one: StandingClaim) -> StandingClaim | None:
     """Return a claim that is not made any more, if what it rests on was not seen since."""
-    if one.reading is None or not any(number in case.devices for number in _devices(one.claim)):
+    if one.reading is None or not any(number in case.by_id for number in _devices(one.claim)):
         return None
     now = _read_last(case, one.claim)
     if now is not None and not _is_same(now, one.reading):
@@ -87,7 +87,7 @@ def _read_last(case: Case, claim: Claim) -> Reading | None:
     name, *others = claim.rests_on
     numbers = _devices(claim)
     if name == ANSWER:
-        [ago_s] = (case.devices[number].last_heard_s for number in numbers)
+        [ago_s] = (case.by_id[number].last_heard_s for number in numbers)
         return None if ago_s is None else Reading(case.stamp_ago(ago_s), 'heard', '', ())
     tables = [case.values[number] for number in numbers
               if number in case.values and name in case.values[number]]
@@ -113,9 +113,9 @@ def _is_same(one: Reading, other: Reading) -> bool:
 
 def _has_restarted(case: Case, claim: Claim, reading: Reading | None) -> bool:
     """Tell whether a device was told to restart after a reading."""
-    return reading is not None and ev.REBOOTED in case.incidents_by_kind and any(
+    return reading is not None and any(
         one.stamp > reading.stamp and one.device in _devices(claim)
-        for one in case.incidents_by_kind[ev.REBOOTED])
+        for one in case.incidents_by_kind.get(ev.REBOOTED, ()))
 
 
 def _devices(claim: Claim) -> tuple[int, ...]:

@@ -36,6 +36,7 @@ ContentSymptom = Literal[
 Symptom = TrafficSymptom | ContentSymptom
 
 TRAFFIC: Set[Symptom] = frozenset(get_args(TrafficSymptom))
+PROOF: Set[Symptom] = frozenset({'proof'})
 # What follows from many causes.
 SILENCE: Set[Symptom] = frozenset({
     'silent device', 'device not served', 'missed answers', 'uneven rhythm'})

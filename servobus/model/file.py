@@ -212,12 +212,13 @@ def _enum(raw: dict[Any, Any], check: Check) -> tuple[dict[int, Word], tuple[Spa
     words: dict[int, Word] = {}
     spans = []
     for code, word in raw.items():
+        what = f'word of {describe(code)}'
         if type(word) not in (str, int, float):
-            raise check.error(f'word of {describe(code)} is {describe(word)}', 'put it in quotes')
+            raise check.error(f'{what} is {describe(word)}', 'put it in quotes')
         if isinstance(word, str):
-            check.text(word, f'word of {describe(code)}')
+            check.text(word, what)
         else:
-            check.number(word, f'word of {describe(code)}')
+            check.number(word, what)
         if isinstance(code, str):
             spans.append(Span(*_range(code, check), word))
         else:
@@ -232,13 +233,15 @@ def _flags(raw: dict[Any, Any], check: Check, bits: int) -> tuple[Bits, ...]:
         first, last = _range(key, check) if isinstance(key, str) else (key, key)
         check.integer(first, 'bit', 0, bits - 1)
         check.integer(last, 'bit', first, bits - 1)
-        if taken & set(range(first, last + 1)):
+        own = set(range(first, last + 1))
+        if taken & own:
             raise check.error(f'bit {key} twice', 'name each bit once')
-        taken |= set(range(first, last + 1))
+        taken |= own
         words = word if isinstance(word, list) else ['', word]
-        if len(words) > 1 << (last - first + 1):
+        values = 1 << len(own)
+        if len(words) > values:
             raise check.error(f'{len(words)} words for bit {key}', 'give one for each value')
-        found.append(Bits(first, (1 << (last - first + 1)) - 1,
+        found.append(Bits(first, values - 1,
                           tuple(w and check.text(w, f'word of bit {key}') for w in words)))
     return tuple(found)
 
@@ -265,9 +268,9 @@ def build_indirect(raw: Any, path: Path) -> tuple[tuple[Indirect, ...], list[Fie
         ranges.append(Indirect(address, data, count))
         for i in range(count):
             n += 1
-            fields.append(Field(address + 2 * i, f'Indirect Address {n}', 'u16', access='rw',
-                                memory=memory))
-            fields.append(Field(data + i, f'Indirect Data {n}', 'u8', access='rw', memory='ram'))
+            fields += [Field(address + 2 * i, f'Indirect Address {n}', 'u16', access='rw',
+                             memory=memory),
+                       Field(data + i, f'Indirect Data {n}', 'u8', access='rw', memory='ram')]
     return tuple(ranges), fields
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from collections.abc import Iterable
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -46,10 +47,11 @@ def model_key(number: int, protocol: str = '2') -> int:
 
 
 class Definition(NamedTuple):
-    """One file as it is; numbers: name by model_key()."""
+    """One file as it is; numbers: name by model_key(); older: the last firmware of each table."""
 
     path: Path
     numbers: dict[int, str]
+    older: tuple[int, ...]
     torque_constants: dict[int, float]
     protocol: str
     raw: Raw
@@ -94,42 +96,24 @@ class Layers:
                  report: Callable[[ModelError], None] = raise_error) -> None:
         self._folders = (folder, beneath)
         self._report = report
-        self._definitions: dict[Path, Definition] = {}
+        self.definition = cache(_outline)      # it reads each file once
         self._layers: dict[Path, Layer] = {}
         self._whole: dict[tuple[Path, int | None, int | None], Layer] = {}
 
     def _refuse(self, path: Path, field: str, reason: str, remedy: str) -> None:
         self._report(ModelError(path, field, reason, remedy))
 
-    def definition(self, path: Path) -> Definition:
-        """Return the outline of one file; raises ModelError."""
-        if path not in self._definitions:
-            self._definitions[path] = _outline(path)
-        return self._definitions[path]
-
-    def variants(self, path: Path) -> list[int | None]:
-        """None for the newest firmware, and the last firmware of each older table."""
-        raw = self.definition(path).raw.get('firmware', [])
-        check = Check(path, 'firmware')
-        found: list[int | None] = [None]
-        for entry in check.sequence(raw, 'firmware'):
-            check.mapping(entry, VARIANT_KEYS)
-            found.append(check.integer(entry.get('up_to'), 'up_to', 0, 255))
-        return found
-
     def variant(self, path: Path, firmware: int | None) -> int | None:
-        """Which of the variants a device with this firmware has."""
-        last = [up_to for up_to in self.variants(path) if up_to is not None]
-        if firmware is None or not last:
-            return None
-        return min((up_to for up_to in last if firmware <= up_to), default=None)
+        """Return which older table a device with this firmware has, None for the newest one."""
+        return min((up_to for up_to in self.definition(path).older
+                    if firmware is not None and firmware <= up_to), default=None)
 
     def check(self, path: Path) -> None:
         """Build all that the file describes; mistakes go to report, or are raised."""
         definition = self.definition(path)
         if not definition.numbers:
             self._layer(path, ())
-        for variant in self.variants(path):
+        for variant in (None, *definition.older):
             for number in definition.numbers:
                 self._whole_layer(definition, number, variant)
 
@@ -165,14 +149,14 @@ class Layers:
     def _layer(self, path: Path, above: tuple[Path, ...]) -> Layer:
         if path in self._layers:
             return self._layers[path]
+        check = Check(path, 'include')
         if path in above:
-            raise Check(path, 'include').error('includes itself', 'break the circle')
+            raise check.error('includes itself', 'break the circle')
         if len(above) > INCLUDE_LIMIT:
-            raise Check(path, 'include').error(f'{len(above)} files include one another',
-                                               'include them all in one file')
+            raise check.error(f'{len(above)} files include one another',
+                              'include them all in one file')
         raw = self.definition(path).raw
         layer = Layer()
-        check = Check(path, 'include')
         include = raw.get('include', [])
         for name in check.sequence([include] if isinstance(include, str) else include, 'include'):
             layer = self._layer(self._find(check, name), (*above, path)).laid_over(layer)
@@ -244,6 +228,7 @@ class Layers:
 
 
 def _outline(path: Path) -> Definition:
+    """Return what a file says, without its fields; raises ModelError."""
     raw = read_yaml(path)
     check = Check(path, '')
     check.mapping(raw, FILE_KEYS)
@@ -257,13 +242,23 @@ def _outline(path: Path) -> Definition:
     for key in ('each', 'torque_constants'):
         for number in raw.get(key, {}).keys() - numbers.keys():
             raise Check(path, key).error(f'{number} is not in model_numbers', 'correct the number')
+    aliases = Check(path, 'aliases')
     for alias, name in raw.get('aliases', {}).items():
-        Check(path, 'aliases').text(alias, 'an alias')
-        Check(path, 'aliases').text(name, f'alias {alias}')
+        aliases.text(alias, 'an alias')
+        aliases.text(name, f'alias {alias}')
     check.choice(raw.get('byte_order', 'little'), 'byte_order', BYTE_ORDERS)
     protocol = check.choice(raw.get('protocol', '2'), 'protocol', PROTOCOLS)
     keys = {model_key(number, protocol): name for number, name in numbers.items()}
-    return Definition(path, keys, _torque_constants(raw, path), protocol, raw)
+    return Definition(path, keys, _older_tables(raw, path), _torque_constants(raw, path),
+                      protocol, raw)
+
+
+def _older_tables(raw: Raw, path: Path) -> tuple[int, ...]:
+    check = Check(path, 'firmware')
+    entries = check.sequence(raw.get('firmware', []), 'firmware')
+    for entry in entries:
+        check.mapping(entry, VARIANT_KEYS)
+    return tuple(check.integer(entry.get('up_to'), 'up_to', 0, 255) for entry in entries)
 
 
 def _torque_constants(raw: Raw, path: Path) -> dict[int, float]:

@@ -44,9 +44,7 @@ class Models:
         self._index: dict[int, tuple[Path, str]] = {}
         self._models: dict[tuple[int, int | None], Model] = {}
         for folder in map(Path, extra_dirs):
-            problems: list[ModelError] = []
-            _check_folder(folder, problems)
-            if problems:
+            if problems := _problems_of(folder):
                 raise problems[0]
             self._add_folder(folder)
         self._add_folder(BUILT_IN)
@@ -61,10 +59,9 @@ class Models:
                 if number in index:
                     raise _twice(path, number, index[number][0])
                 index[number] = path, name
-        for number, (path, name) in index.items():
-            if number not in self._index:
-                self._index[number] = path, name
-                self._layers[path] = layers
+        for number, entry in index.items():
+            self._index.setdefault(number, entry)
+            self._layers[entry[0]] = layers
 
     def get(self, number: int, firmware: int | None = None) -> Model | None:
         """
@@ -110,26 +107,25 @@ class Models:
 
     def names(self) -> dict[int, str]:
         """Every known model: model_key() -> name, in order of number."""
-        return {number: self._index[number][1] for number in sorted(self._index)}
+        return {number: name for number, (_, name) in sorted(self._index.items())}
 
 
 def check_models(folder: str | Path) -> list[str]:
     """Every problem in a folder of model files, one line each; [] if a monitor could use it."""
+    return [str(problem) for problem in _problems_of(Path(folder))]
+
+
+def _problems_of(folder: Path) -> list[ModelError]:
     problems: list[ModelError] = []
-    _check_folder(Path(folder), problems)
-    return [str(problem) for problem in problems]
-
-
-def _check_folder(folder: Path, problems: list[ModelError]) -> None:
     layers = Layers(folder, BUILT_IN, problems.append)
     seen: dict[int, Path] = {}
     try:
         files = model_files(folder)
     except ModelError as error:
-        problems.append(error)
-        return
+        return [error]
     for path in files:
         _check_file(path, layers, seen, problems)
+    return problems
 
 
 def _check_file(path: Path, layers: Layers, seen: dict[int, Path],

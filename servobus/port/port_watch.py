@@ -36,7 +36,11 @@ class PortWatch:
 
     def begin(self, path: str) -> None:
         """Watch the node that is at `path` now: call it after each opening of our own."""
-        self.close()
+        if self._fd >= 0:
+            os.close(self._fd)
+        self._fd = -1
+        self.is_open = False
+        self.clear()
         with suppress(OSError, AttributeError, TypeError):      # another system has no inotify
             libc = ctypes.CDLL(None)
             self._fd = libc.inotify_init1(os.O_NONBLOCK | os.O_CLOEXEC)
@@ -50,10 +54,3 @@ class PortWatch:
                     if mask & (_OPEN | _CLOSE):
                         self.has_changed, self.is_open = True, bool(mask & _OPEN)
                         self.was_opened |= self.is_open
-
-    def close(self) -> None:
-        if self._fd >= 0:
-            os.close(self._fd)
-        self._fd = -1
-        self.is_open = False
-        self.clear()

@@ -140,10 +140,9 @@ class Ftdi(Adapter):
 
     def received(self, data: bytes) -> tuple[bytes, Changes]:
         size = self.packet_size
-        if len(data) <= size:
-            return data[self._STATUS_SIZE:], self._line(data)
         packets = [data[at:at + size] for at in range(0, len(data), size)]
-        changes = [change for packet in packets for change in self._line(packet)]
+        changes = [change for packet in packets if len(packet) > self._STATUS_SIZE
+                   for change in _errors(packet[1])]
         return b''.join([packet[self._STATUS_SIZE:] for packet in packets]), changes
 
     def bare(self, data: bytes) -> bytes | None:
@@ -151,11 +150,6 @@ class Ftdi(Adapter):
         if size > self.packet_size or (size > self._STATUS_SIZE and data[1] & 0x1E):
             return None
         return data[self._STATUS_SIZE:]
-
-    def _line(self, packet: bytes) -> Changes:
-        if len(packet) <= self._STATUS_SIZE or not packet[1] & 0x1E:
-            return []
-        return _errors(packet[1])
 
     def control(self, setup: Setup, data: bytes) -> Changes:
         kind, request, value, _ = setup

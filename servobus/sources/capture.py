@@ -42,7 +42,7 @@ MAGIC = b'# dxl_capture '            # a number follows: 1 is 2 without sides an
 ENDED = 'ended at '                # begins the remark at the end of a recording
 VERSIONS = (b'1', b'2')
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
-_WALL = '%Y-%m-%dT%H:%M:%S.%f'
+_WALL = '%Y-%m-%dT%H:%M:%S.%fZ'
 _UNQUOTED = '/:._-+@'               # stay as they are in a bus name, as letters and digits do
 _SECOND = 1_000_000_000
 STAMP_END = 1 << 63                 # ns: 292 years; longer than any time since a boot
@@ -99,7 +99,7 @@ class Writer:
         self._file = file
         self._described: set[str] = set()     # buses
         wall = (_EPOCH + timedelta(microseconds=now.wall // 1000)).strftime(_WALL)
-        self._put(MAGIC + f'2 began {wall}Z at {seconds(now.stamp)}\n'.encode())
+        self._put(MAGIC + f'2 began {wall} at {seconds(now.stamp)}\n'.encode())
 
     def write_chunk(self, wire: Wire, chunk: Chunk) -> None:
         """Write a chunk of a bus, and before its first one what is known of that."""
@@ -130,8 +130,7 @@ class Reader:
         self.began = Moment(0, 0)
         self.wires: dict[str, Wire] = {}
         self.bad_lines = 0
-        self.first_bad_line = 0
-        self.first_bad_text = ''
+        self._first_bad = ''
         self.is_cut = False
         self.ended = 0             # stamp, 0: unknown
         self._lines = lines
@@ -161,10 +160,8 @@ class Reader:
                 self._header(line)
         except (ValueError, LookupError):
             self.bad_lines += 1
-            if not self.first_bad_line:
-                self.first_bad_line = number
-                self.first_bad_text = printable(
-                    line.decode(errors='replace').strip(), BAD_TEXT_MAX_LENGTH)
+            text = printable(line.decode(errors='replace').strip(), BAD_TEXT_MAX_LENGTH)
+            self._first_bad = self._first_bad or f'line {number}: {text}'
         return None
 
     def problems(self) -> list[str]:
@@ -172,7 +169,7 @@ class Reader:
         found = []
         if self.bad_lines:
             found.append(f'{self.bad_lines} lines do not belong in a capture and were left out, '
-                         f'the first is line {self.first_bad_line}: {self.first_bad_text}')
+                         f'the first is {self._first_bad}')
         if self.is_cut:
             found.append('the last line has no end: the capture is cut off or still being written')
         return found
@@ -222,9 +219,14 @@ def _content(words: list[bytes]) -> tuple[bytes, str, Change | None]:
     name, value = (word.decode() for word in words)
     if name in (OUT, IN):
         return bytes.fromhex(value), name, None
+    return b'', UNKNOWN, change_of(name, value)
+
+
+def change_of(name: str, value: str) -> Change:
+    """Return the change that a file spells so; raise ValueError where it is none."""
     if name not in CHANGES or not value.isdecimal() or len(value) > VALUE_MAX_DIGITS:
         raise ValueError(name)
-    return b'', UNKNOWN, Change(name, int(value))
+    return Change(name, int(value))
 
 
 def lines(file: BinaryIO) -> Iterator[bytes]:
@@ -251,7 +253,7 @@ def _bounded(stamp: int) -> int:
 
 
 def _wall(text: str) -> int:
-    since = datetime.strptime(text, _WALL + 'Z').replace(tzinfo=_EPOCH.tzinfo) - _EPOCH
+    since = datetime.strptime(text, _WALL).replace(tzinfo=_EPOCH.tzinfo) - _EPOCH
     return since // timedelta(microseconds=1) * 1000
 
 

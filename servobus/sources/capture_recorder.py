@@ -60,11 +60,9 @@ class Recorder:
         self._waiting_bytes = 0
         self._gap: int | None = None            # stamp of the first chunk left out
         self._is_stopping = threading.Event()
-        self._make_room()
-        self._file = open_new(path, waits=False)
+        self._begin_file()
         if not os.path.isfile(path):
             self._size = sys.maxsize            # a pipe has no older files
-        self._writer = Writer(self._file, now())
         self._done = threading.Event()          # nothing is being written
         self._done.set()
 
@@ -130,15 +128,18 @@ class Recorder:
             self._writer.write_chunk(wire, chunk)
             if self._writer.size >= self._size:
                 self._file.close()
-                self._make_room()
-                self._file = open_new(self.path, waits=False)
-                self._writer = Writer(self._file, self._now())
+                self._begin_file()
         for text in remarks:
             self._writer.remark(text)
         if gap is not None:
             self._writer.remark(f'gap: the disk was too slow from {seconds(gap)} on, '
                                 f'{self.left_out} bytes left out so far')
         self._file.flush()
+
+    def _begin_file(self) -> None:
+        self._make_room()
+        self._file = open_new(self.path, waits=False)
+        self._writer = Writer(self._file, self._now())
 
     def _make_room(self) -> None:
         """Rename the file and the older ones; what is not a file (a pipe, /dev/null) stays."""

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from msg_defs.reports import Pairs
 from servobus.bus.report import LineErrors
+from servobus.port.port_users import file_text
 from servobus.port.port_users import tty_of
 
 TIOCGSERIAL = 0x541E
@@ -62,11 +63,8 @@ def adapter(path: str, root: Path = SYS) -> Pairs:
     usb = next((one for one in (device, *device.parents) if (one / 'idVendor').exists()), None)
     if usb is None:
         return []
-    found = []
-    for key, name in (('Adapter', 'product'), ('Adapter Serial Number', 'serial')):
-        with suppress(OSError):
-            found.append((key, (usb / name).read_text(errors='replace').strip()))
-    return [(key, text) for key, text in found if text]
+    files = (('Adapter', 'product'), ('Adapter Serial Number', 'serial'))
+    return [(key, text) for key, name in files if (text := file_text(usb / name).strip())]
 
 
 def latency_timer_ms(path: str, root: Path = SYS) -> int | None:

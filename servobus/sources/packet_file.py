@@ -11,21 +11,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from collections.abc import Sequence
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 import struct
 from typing import BinaryIO
 
 from msg_defs.event import Change
-from msg_defs.event import CHANGES
 from msg_defs.event import Chunk
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
 from msg_defs.uart import byte_ns
 from servobus.sources.capture import BAUD_MAX
+from servobus.sources.capture import change_of
 from servobus.sources.capture import Moment
-from servobus.sources.capture import VALUE_MAX_DIGITS
 from servobus.sources.capture import Wire
 from servobus.sources.pcap import ABOUT
 from servobus.sources.pcap import CapturedPacket
@@ -148,7 +148,8 @@ class PacketFile(File):
 
 
 def _change(comment: str) -> Change | None:
-    what, _, value = comment.removeprefix(_EVENT).partition(' ')
-    is_one = comment.startswith(_EVENT) and what in CHANGES and value.isdecimal() \
-        and len(value) <= VALUE_MAX_DIGITS
-    return Change(what, int(value)) if is_one else None
+    if comment.startswith(_EVENT):
+        what, _, value = comment.removeprefix(_EVENT).partition(' ')
+        with suppress(ValueError):
+            return change_of(what, value)
+    return None

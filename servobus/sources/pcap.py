@@ -20,8 +20,12 @@ from servobus.plain import printable
 LINK_USB_LINUX, LINK_USB_LINUX_MMAPPED, LINK_USBPCAP = 189, 220, 249
 LINK_USER0 = 147                   # ours: packet_file.py
 
-_PCAP_MAGIC = {0xA1B2C3D4: 1000, 0xA1B23C4D: 1}        # ns in a unit of the fraction
+# The first bytes of a file: the order of its numbers, and ns in a unit of the fraction.
+_PCAP_MAGIC = {struct.pack(f'{order}I', number): (order, unit) for order in '<>'
+               for number, unit in ((0xA1B2C3D4, 1000), (0xA1B23C4D, 1))}
 SECTION, SECTION_MAGIC = 0x0A0D0D0A, 0x1A2B3C4D
+_PCAPNG_MAGIC = SECTION.to_bytes(4, 'big')
+_ORDERS = {struct.pack(f'{order}I', SECTION_MAGIC): order for order in '<>'}
 INTERFACE, ENHANCED = 1, 6       # blocks; packets without a time are of no use here
 NAME, ABOUT, SPEED, RESOLUTION, _OFFSET = 2, 3, 8, 9, 14       # options of an interface
 COMMENT, FLAGS = 1, 2            # options of a packet
@@ -63,9 +67,8 @@ class _Damaged(Exception):
 
 def is_pcap(head: bytes) -> bool:
     """Tell whether a file that begins so is a pcap or pcapng file."""
-    return len(head) >= MAGIC_SIZE and (
-        int.from_bytes(head[:4], 'big') == SECTION
-        or any(int.from_bytes(head[:4], order) in _PCAP_MAGIC for order in ('little', 'big')))
+    magic = head[:MAGIC_SIZE]
+    return magic == _PCAPNG_MAGIC or magic in _PCAP_MAGIC
 
 
 class PcapReader:
@@ -81,7 +84,8 @@ class PcapReader:
     def __iter__(self) -> Iterator[CapturedPacket]:
         try:
             magic = self._exactly(MAGIC_SIZE, 'the magic number')
-            if int.from_bytes(magic, 'big') == SECTION:
+            if magic == _PCAPNG_MAGIC:
+                self._section(self._exactly(4, 'the header of a section'))
                 yield from self._pcapng()
             else:
                 yield from self._pcap(magic)
@@ -91,10 +95,9 @@ class PcapReader:
     # --- pcap ----------------------------------------------------------------------------------
 
     def _pcap(self, magic: bytes) -> Iterator[CapturedPacket]:
-        self._order = '<' if int.from_bytes(magic, 'little') in _PCAP_MAGIC else '>'
-        unit = _PCAP_MAGIC.get(self._unpack('I', magic)[0])
-        if unit is None:
+        if magic not in _PCAP_MAGIC:
             raise _Damaged('not a pcap file')
+        self._order, unit = _PCAP_MAGIC[magic]
         *_, link = self._unpack('HHiIII', self._exactly(20, 'its header'))
         link &= 0xFFFF             # above: length of a checksum
         head = struct.Struct(self._order + 'IIII')
@@ -109,7 +112,6 @@ class PcapReader:
     # --- pcapng --------------------------------------------------------------------------------
 
     def _pcapng(self) -> Iterator[CapturedPacket]:
-        self._section()
         while front := self._some(8, 'the header of a block'):
             kind, size = self._unpack('II', front)
             if kind == SECTION:               # its length is in the order of the new section
@@ -121,15 +123,11 @@ class PcapReader:
             elif kind == ENHANCED:
                 yield self._packet(body)
 
-    def _section(self, length: bytes = b'') -> None:
-        length = length or self._exactly(4, 'the header of a section')
+    def _section(self, length: bytes) -> None:
         magic = self._exactly(4, 'the header of a section')
-        for order in '<>':
-            if struct.unpack(order + 'I', magic)[0] == SECTION_MAGIC:
-                self._order = order
-                break
-        else:
+        if magic not in _ORDERS:
             raise _Damaged('a section without its byte-order magic: damaged')
+        self._order = _ORDERS[magic]
         self._interfaces = []
         self._body(self._unpack('I', length)[0], 12)
 

@@ -17,11 +17,8 @@ class Recorders:
 
     def __init__(self, capture: Recorder | None, flight: FlightRecorder | None) -> None:
         self.flight = flight
-        self._all: dict[str, Recorder | FlightRecorder] = {}
-        if capture is not None:
-            self._all['Capture'] = capture
-        if flight is not None:
-            self._all['Flight recorder'] = flight
+        both = {'Capture': capture, 'Flight recorder': flight}
+        self._all = {name: one for name, one in both.items() if one is not None}
         self._last_news: dict[str, str] = {}
 
     def __bool__(self) -> bool:

@@ -15,6 +15,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import dataclass
+from dataclasses import field
 import re
 import termios
 from typing import NamedTuple
@@ -88,25 +90,40 @@ class PortEvent(NamedTuple):
 PortEvents = Iterator[PortEvent]
 
 
+@dataclass
+class _TracedPort:
+    """What is known of a port."""
+
+    name: str
+    holders: set[tuple[int, int]] = field(default_factory=set)     # process, descriptor
+    rate: int = 0                          # not said yet; 0: nothing new
+    has_odd_rate: bool = False             # 38400 may mean any rate
+    has_line_mode: bool = False
+    looked: tuple[int, int] | None = None  # for bytes: when, and what it returned
+    away_ns: int = 0                       # until bytes were found
+    is_awaited: bool = False               # by epoll
+    traced_ns: int = 0                     # since its last write
+
+
+@dataclass
+class _TracedThread:
+    """What is known of a thread."""
+
+    process: int
+    unfinished: bytes = b''                # begin of a call
+    ended: int = 0                         # when its last call did, 0: none did yet
+    held_ns: float = 0.0                   # since it waited
+
+
 class StraceParser:
     """Takes the output of one strace; `process_of` returns the process of a thread."""
 
     def __init__(self, process_of: Callable[[int], int]) -> None:
         self._process_of = process_of
-        self._processes: dict[int, int] = {}                   # by thread
-        self._holders: dict[str, set[tuple[int, int]]] = {}    # by port: process, descriptor
-        self._rates: dict[str, int] = {}                       # by port, not said yet
-        self._line_mode: set[str] = set()                      # ports
-        self._odd_rates: set[str] = set()                      # ports with a divisor of their own
-        self._unfinished: dict[int, bytes] = {}                # a call by thread
-        self._looked: dict[str, tuple[int, int]] = {}          # by port: for bytes, when, result
-        self._away: dict[str, int] = {}                        # ns by port, until bytes were found
-        self._awaited: set[str] = set()                        # ports that epoll waits for
-        self._ended: dict[int, int] = {}                       # the last call, by thread
-        self._resume = 0.0                                     # ns from a call to the next one
-        self._short = 0.0                                      # ns of a call without a wait
-        self._held: dict[int, float] = {}                      # ns by thread, since it waited
-        self._traced: dict[str, int] = {}                      # ns by port, since its last write
+        self._ports: dict[str, _TracedPort] = {}
+        self._threads: dict[int, _TracedThread] = {}
+        self._resume_ns = 0.0              # from a call to the next one
+        self._short_ns = 0.0               # a call takes that does not wait
         self._rest = b''
         self._now = 0
 
@@ -117,21 +134,24 @@ class StraceParser:
             found = _LINE.fullmatch(line)
             if found is None:
                 continue
-            thread, second, part, seconds, nanoseconds = map(int, found.groups()[:5])
+            number, second, part, seconds, nanoseconds = map(int, found.groups()[:5])
             self._now = self._now + seconds * 10**9 + nanoseconds if self._now \
                 else max(1, second * 10**9 + part + ahead)
-            yield from self._parse_text(thread, found[6])
+            yield from self._parse_text(number, found[6])
 
-    def _parse_text(self, thread: int, text: bytes) -> PortEvents:
+    def _parse_text(self, number: int, text: bytes) -> PortEvents:
+        if text.startswith(b'+++'):
+            yield from self._end(number)
+            return
+        if number not in self._threads:
+            self._threads[number] = _TracedThread(self._process_of(number))
+        thread = self._threads[number]
         is_resumed = text.startswith(b'<... ')
         if is_resumed:
-            begin = self._unfinished.pop(thread, b'')
-            text = begin + text.partition(b' resumed>')[2]
+            text = thread.unfinished + text.partition(b' resumed>')[2]
+            thread.unfinished = b''
         elif text.endswith(_UNFINISHED):
-            self._unfinished[thread] = text[:-len(_UNFINISHED)]
-            return
-        elif text.startswith(b'+++'):
-            yield from self._end(thread)
+            thread.unfinished = text[:-len(_UNFINISHED)]
             return
         found = _CALL.fullmatch(text)
         if found is None:
@@ -140,166 +160,180 @@ class StraceParser:
         end = self._now + (0 if is_resumed else took)
         yield from self._parse_call(found, thread, end - took, end)
 
-    def _parse_call(self, found: re.Match[bytes], thread: int, begin: int,
+    def _parse_call(self, found: re.Match[bytes], thread: _TracedThread, begin: int,
                     end: int) -> PortEvents:
         name, arguments, result = found[1].decode(), found[2], int(found[3])
-        away = self._account_time(thread, name, begin, end)
-        self._remember_wait(name, arguments, result, end, away)
-        yield from self._hold(_text(found[4] or b''), thread, result, end)
+        away_ns = self._account_time(thread, name, begin, end)
+        self._remember_wait(name, arguments, result, end, away_ns)
+        opened = self._port(found[4] or b'')
+        if opened is not None:
+            yield from _hold(opened, thread, result, end)
         first = _FD.match(arguments)
-        port = '' if first is None else _text(first[2])
-        if first is None or not PORT.fullmatch(port):
+        port = first and self._port(first[2])
+        if first is None or port is None:
             return
+        descriptor = int(first[1])
         if name == 'close':
-            yield from self._release(port, {(self._process(thread), int(first[1]))}, begin)
+            yield from _release(port, {(thread.process, descriptor)}, begin)
             return
-        yield from self._hold(port, thread, int(first[1]), begin)
+        yield from _hold(port, thread, descriptor, begin)
         if name == 'ioctl' and result >= 0:
             with suppress(ValueError):         # numbers that are none
-                yield from self._ioctl(port, arguments, end)
+                yield from _ioctl(port, arguments, end)
         elif name in _UNSEEN and result > 0:
-            yield PortEvent(end, port, LOST, value=1)
+            yield PortEvent(end, port.name, LOST, value=1)
         elif name in _WRITES and result >= 0:
             stamp = max(begin, end - WRITE_LATE_NS)
             if end - begin < AT_ONCE_NS:
-                stamp, self._short = end, _median(self._short, end - begin)
-            yield from self._rate(port, stamp)
-            yield from self._before_write(port, stamp, self._held.pop(thread))
-            yield from self._transfer(port, OUT, arguments, result, stamp, thread)
+                stamp, self._short_ns = end, _median(self._short_ns, end - begin)
+            yield from _rate(port, stamp)
+            yield from _before_write(port, stamp, thread)
+            yield from _transfer(port, OUT, arguments, result, stamp, thread)
         elif name in _READS and result > 0:
-            yield from self._rate(port, end)
+            yield from _rate(port, end)
             arrived = self._arrived(port, begin, end)
-            yield from self._was_away(port, arrived, away)
-            yield from self._transfer(port, IN, arguments, result, arrived, thread)
+            yield from _was_away(port, arrived, away_ns)
+            yield from _transfer(port, IN, arguments, result, arrived, thread)
         elif name in _READS:                   # also -1: EAGAIN
-            self._looked[port] = end, 0
+            port.looked = end, 0
 
-    def _account_time(self, thread: int, name: str, begin: int, end: int) -> int:
+    def _port(self, escaped: bytes) -> _TracedPort | None:
+        """Return the port of a path as strace prints it, None where it is none."""
+        name = _text(escaped)
+        port = self._ports.get(name)
+        if port is None and PORT.fullmatch(name):
+            port = self._ports[name] = _TracedPort(name)
+        return port
+
+    def _account_time(self, thread: _TracedThread, name: str, begin: int, end: int) -> int:
         """Count what strace held the thread; return for how long (ns) that slept, 0: it waited."""
-        gap, took = begin - self._ended.get(thread, 0), end - begin
-        away = gap if gap >= AWAY_NS and took < AT_ONCE_NS and thread in self._ended else 0
-        self._ended[thread] = end
+        gap, took = begin - thread.ended, end - begin
+        away_ns = gap if gap >= AWAY_NS and took < AT_ONCE_NS and thread.ended else 0
+        thread.ended = end
         if gap < AT_ONCE_NS:
-            self._resume = _median(self._resume, gap)
-        if took > (AT_ONCE_NS if name in _WRITES else 2 * self._short):
-            self._held[thread] = self._short / 2       # it waited, and strace with it
+            self._resume_ns = _median(self._resume_ns, gap)
+        if took > (AT_ONCE_NS if name in _WRITES else 2 * self._short_ns):
+            thread.held_ns = self._short_ns / 2        # it waited, and strace with it
         else:
-            self._held[thread] = self._held.get(thread, 0.0) + took + (
-                gap if gap < 2 * self._resume else self._resume)
-        return away
+            thread.held_ns += took + (gap if gap < 2 * self._resume_ns else self._resume_ns)
+        return away_ns
 
     def _remember_wait(self, name: str, arguments: bytes, result: int, end: int,
-                       away: int) -> None:
-        """Remember what a program waits for; away: as in _was_away(), 0: it waited."""
-        if name in _WAITS and result >= 0:
-            ports = [_text(path) for _, path in _FD.findall(arguments)]
-            self._looked |= dict.fromkeys(ports, (end, result))
-            self._away |= dict.fromkeys(ports, away)
-        elif name == 'epoll_ctl':
-            self._awaited.update(_text(path) for _, path in _FD.findall(arguments))
-
-    def _arrived(self, port: str, begin: int, end: int) -> int:
-        """Return when the bytes of a read were there: after a wait for them at its end."""
-        ready, result = self._looked.pop(port, (0, 0))
-        arrived = ready if result and begin - ready <= AT_ONCE_NS else end
-        return arrived - int(self._short / 2)
-
-    def _before_write(self, port: str, stamp: int, held: float) -> PortEvents:
-        """Say what the program did before a write: looked for bytes in vain, waited for strace."""
-        yield from self._vain(port, stamp)
-        self._looked.pop(port, None)
-        self._away.pop(port, None)
-        self._traced[port] = self._traced.get(port, 0) + int(held)
-        if self._traced[port] >= TRACED_MIN_NS:
-            yield PortEvent(stamp, port, TRACED, value=self._traced.pop(port) // 1000)
-
-    def _was_away(self, port: str, stamp: int, away: int) -> PortEvents:
-        """Say for how long (ns) a program had not looked for what was there when it did."""
-        away = self._away.pop(port, 0) or away
-        if away and port not in self._awaited:
-            yield PortEvent(stamp, port, AWAY, value=away // 1000)
-
-    def _vain(self, port: str, stamp: int) -> PortEvents:
-        looked, result = self._looked.get(port, (0, 1))
-        if not result:
-            yield PortEvent(stamp, port, GAVE_UP, value=max(0, stamp - looked) // 1000)
-
-    def _transfer(self, port: str, side: str, arguments: bytes, size: int,
-                  stamp: int, thread: int) -> PortEvents:
-        data = b''.join(map(_bytes, _STRING.findall(arguments)))[:size]
-        if data:
-            yield PortEvent(stamp, port, side, data, self._process(thread))
-        if len(data) < size:
-            yield PortEvent(stamp, port, LOST, value=size - len(data))
-
-    def _ioctl(self, port: str, arguments: bytes, stamp: int) -> PortEvents:
-        _, text, argument = arguments.split(b', ', 2)
-        request = int(text, 0)
-        if request in _SETTINGS:
-            rate = _rate(argument)
-            if rate and not (rate == 38_400 and port in self._odd_rates):
-                self._rates[port] = rate
-            if request not in _ASKED:          # else the program may be about to change it
-                yield from self._rate(port, stamp)
-            yield from self._find_line_mode(port, argument, stamp)
-        if request in _SET_AND_FLUSH:
-            yield PortEvent(stamp, port, PURGED, value=1)
-        elif request == _TCFLSH:
-            yield from self._vain(port, stamp)
-            yield PortEvent(stamp, port, PURGED, value=int(argument, 0) + 1)
-        elif request == _FIONREAD and argument == b'[0]':
-            self._looked[port] = stamp, 0
-        elif request == _TIOCSSERIAL:          # 38400 may mean any rate from now on
-            self._odd_rates.add(port)
-        elif request in _MODEM:
-            listed = _flags(argument.strip(b'[]'))
-            for bit, what in _LINES.items():
-                value = _MODEM[request][0 if listed & bit else 1]
-                if value is not None:
-                    yield PortEvent(stamp, port, what, value=value)
-
-    def _find_line_mode(self, port: str, settings: bytes, stamp: int) -> PortEvents:
-        flags = _LFLAG.search(settings)
-        if flags and (is_on := bool(int(flags[1], 16) & termios.ICANON)) != (
-                port in self._line_mode):
-            self._line_mode ^= {port}
-            yield PortEvent(stamp, port, LINE_MODE, value=int(is_on))
-
-    def _rate(self, port: str, stamp: int) -> PortEvents:
-        """Say the rate that a port has by now."""
-        if port in self._rates:
-            yield PortEvent(stamp, port, BAUD, value=self._rates.pop(port))
-
-    def _hold(self, port: str, thread: int, descriptor: int, stamp: int) -> PortEvents:
-        """Remember that a thread's process has a port open."""
-        if not PORT.fullmatch(port):
+                       away_ns: int) -> None:
+        """Remember what a program waits for; away_ns: as in _was_away(), 0: it waited."""
+        is_wait = name in _WAITS and result >= 0
+        if not is_wait and name != 'epoll_ctl':
             return
-        holders = self._holders.setdefault(port, set())
-        if not holders:
-            yield PortEvent(stamp, port, OPENED, process=self._process(thread))
-        holders.add((self._process(thread), descriptor))
+        for _, path in _FD.findall(arguments):
+            port = self._port(path)
+            if port is None:
+                continue
+            if is_wait:
+                port.looked, port.away_ns = (end, result), away_ns
+            else:
+                port.is_awaited = True
 
-    def _release(self, port: str, gone: set[tuple[int, int]], stamp: int) -> PortEvents:
-        holders = self._holders.get(port, set())
-        if holders and not holders - gone:
-            yield from self._vain(port, stamp)
-            yield PortEvent(stamp, port, CLOSED)
-        holders -= gone
+    def _arrived(self, port: _TracedPort, begin: int, end: int) -> int:
+        """Return when the bytes of a read were there: after a wait for them at its end."""
+        ready, result = port.looked or (0, 0)
+        port.looked = None
+        arrived = ready if result and begin - ready <= AT_ONCE_NS else end
+        return arrived - int(self._short_ns / 2)
 
-    def _end(self, thread: int) -> PortEvents:
+    def _end(self, number: int) -> PortEvents:
         """Forget a thread that ended; with the first of a process its ports are closed."""
-        self._unfinished.pop(thread, None)
-        self._ended.pop(thread, None)
-        self._held.pop(thread, None)
-        if self._processes.pop(thread, thread) == thread:
-            for port, holders in self._holders.items():
-                yield from self._release(
-                    port, {one for one in holders if one[0] == thread}, self._now)
+        thread = self._threads.pop(number, None)
+        if thread is None or thread.process == number:
+            for port in self._ports.values():
+                yield from _release(port, {one for one in port.holders if one[0] == number},
+                                    self._now)
 
-    def _process(self, thread: int) -> int:
-        if thread not in self._processes:
-            self._processes[thread] = self._process_of(thread)
-        return self._processes[thread]
+
+def _before_write(port: _TracedPort, stamp: int, thread: _TracedThread) -> PortEvents:
+    """Say what the program did before a write: looked for bytes in vain, waited for strace."""
+    yield from _vain(port, stamp)
+    port.looked, port.away_ns = None, 0
+    port.traced_ns += int(thread.held_ns)
+    thread.held_ns = 0.0
+    if port.traced_ns >= TRACED_MIN_NS:
+        yield PortEvent(stamp, port.name, TRACED, value=port.traced_ns // 1000)
+        port.traced_ns = 0
+
+
+def _was_away(port: _TracedPort, stamp: int, away_ns: int) -> PortEvents:
+    """Say for how long a program had not looked for what was there when it did."""
+    away_ns, port.away_ns = port.away_ns or away_ns, 0
+    if away_ns and not port.is_awaited:
+        yield PortEvent(stamp, port.name, AWAY, value=away_ns // 1000)
+
+
+def _vain(port: _TracedPort, stamp: int) -> PortEvents:
+    if port.looked is not None and not port.looked[1]:
+        yield PortEvent(stamp, port.name, GAVE_UP, value=max(0, stamp - port.looked[0]) // 1000)
+
+
+def _transfer(port: _TracedPort, side: str, arguments: bytes, size: int, stamp: int,
+              thread: _TracedThread) -> PortEvents:
+    data = b''.join(map(_bytes, _STRING.findall(arguments)))[:size]
+    if data:
+        yield PortEvent(stamp, port.name, side, data, thread.process)
+    if len(data) < size:
+        yield PortEvent(stamp, port.name, LOST, value=size - len(data))
+
+
+def _ioctl(port: _TracedPort, arguments: bytes, stamp: int) -> PortEvents:
+    _, text, argument = arguments.split(b', ', 2)
+    request = int(text, 0)
+    if request in _SETTINGS:
+        rate = _rate_in(argument)
+        if rate and not (rate == 38_400 and port.has_odd_rate):
+            port.rate = rate
+        if request not in _ASKED:          # else the program may be about to change it
+            yield from _rate(port, stamp)
+        yield from _find_line_mode(port, argument, stamp)
+    if request in _SET_AND_FLUSH:
+        yield PortEvent(stamp, port.name, PURGED, value=1)
+    elif request == _TCFLSH:
+        yield from _vain(port, stamp)
+        yield PortEvent(stamp, port.name, PURGED, value=int(argument, 0) + 1)
+    elif request == _FIONREAD and argument == b'[0]':
+        port.looked = stamp, 0
+    elif request == _TIOCSSERIAL:
+        port.has_odd_rate = True
+    elif request in _MODEM:
+        listed = _flags(argument.strip(b'[]'))
+        for bit, what in _LINES.items():
+            value = _MODEM[request][0 if listed & bit else 1]
+            if value is not None:
+                yield PortEvent(stamp, port.name, what, value=value)
+
+
+def _find_line_mode(port: _TracedPort, settings: bytes, stamp: int) -> PortEvents:
+    flags = _LFLAG.search(settings)
+    if flags and (is_on := bool(int(flags[1], 16) & termios.ICANON)) != port.has_line_mode:
+        port.has_line_mode = is_on
+        yield PortEvent(stamp, port.name, LINE_MODE, value=int(is_on))
+
+
+def _rate(port: _TracedPort, stamp: int) -> PortEvents:
+    """Say the rate that a port has by now."""
+    if port.rate:
+        yield PortEvent(stamp, port.name, BAUD, value=port.rate)
+        port.rate = 0
+
+
+def _hold(port: _TracedPort, thread: _TracedThread, descriptor: int, stamp: int) -> PortEvents:
+    """Remember that a process has a port open."""
+    if not port.holders:
+        yield PortEvent(stamp, port.name, OPENED, process=thread.process)
+    port.holders.add((thread.process, descriptor))
+
+
+def _release(port: _TracedPort, gone: set[tuple[int, int]], stamp: int) -> PortEvents:
+    if port.holders and not port.holders - gone:
+        yield from _vain(port, stamp)
+        yield PortEvent(stamp, port.name, CLOSED)
+    port.holders -= gone
 
 
 def _median(so_far: float, ns: int) -> float:
@@ -325,7 +359,7 @@ def _flags(text: bytes) -> int:
     return value
 
 
-def _rate(settings: bytes) -> int:
+def _rate_in(settings: bytes) -> int:
     """Return the rate in a struct termios or termios2, 0 where it is unknown."""
     flags = _CFLAG.search(settings)
     speed = int(flags[1], 16) & _CBAUD if flags else 0

@@ -68,12 +68,12 @@ class TapListener(Listener):
                 remedy or 'set XDG_RUNTIME_DIR to a folder of yours')) from error
 
     def _accept_tap_record(self, record: TapRecord) -> None:
-        if record.kind == sent.OPENED and self._is_wanted(record.port):
-            self._heard_port = record.port
-            self._set_open(f'listening to {record.port}')
-        if record.kind == sent.OPENED and record.port != self._heard_port \
-                and len(self.others) <= OTHERS_NAMED_MAX:
-            self.others |= {record.port}
+        if record.kind == sent.OPENED:
+            if self._is_wanted(record.port):
+                self._heard_port = record.port
+                self._set_open(f'listening to {record.port}')
+            elif len(self.others) <= OTHERS_NAMED_MAX:
+                self.others |= {record.port}
         if record.port in ('', self._heard_port) and (record.side or record.change):
             self._deliver(record.chunk(self._bus))
 

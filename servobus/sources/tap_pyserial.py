@@ -27,6 +27,7 @@ _HANDLERS = 'serial.urlhandler.protocol_'
 ERROR_TEXT_LIMIT = 2000                        # characters
 AWAY_NS = 500_000                              # who looks as often does not sleep
 _Method = Callable[..., Any]
+_Report = Callable[[Any, Any], object]          # called with a sender and a Serial
 
 
 class _OpenSerial:
@@ -112,41 +113,19 @@ def _report_not_sent(sender: Any, port: int, size: int) -> None:
             sender.number('not_sent', port, size)
 
 
-def _wrap_open(sender: Any, original: _Method) -> _Method:
-    def open(self: Any, *args: Any, **kwargs: Any) -> Any:
-        result = original(self, *args, **kwargs)
-        with suppress(Exception):
-            self.__dict__[_STATE] = _OpenSerial(sender.opened(str(self.port), int(self._baudrate)))
-            sender.serials.add(self)
-            _report_unread(sender, self)
-        return result
-    return open
-
-
-def _wrap_after(report: Callable[[Any, Any, int], object],
-                before: Callable[[Any, Any], None] = lambda sender, serial: None
-                ) -> Callable[[Any, _Method], _Method]:
-    """Return a wrapper that reports a call after it, if the port is open, and before it."""
+def _wrap_around(after: _Report, before: _Report = lambda sender, serial: None
+                 ) -> Callable[[Any, _Method], _Method]:
+    """Return a wrapper that reports a call before and after it."""
     def wrap(sender: Any, original: _Method) -> _Method:
         def call(self: Any, *args: Any, **kwargs: Any) -> Any:
             with suppress(Exception):
                 before(sender, self)
             result = original(self, *args, **kwargs)
             with suppress(Exception):
-                report(sender, self, self.__dict__[_STATE].number)
+                after(sender, self)
             return result
         return call
     return wrap
-
-
-def _wrap_close(sender: Any, original: _Method) -> _Method:
-    def close(self: Any, *args: Any, **kwargs: Any) -> Any:
-        _report_unread(sender, self)
-        result = original(self, *args, **kwargs)
-        with suppress(Exception):
-            sender.closed(self.__dict__.pop(_STATE).number)
-        return result
-    return close
 
 
 def _wrap_in_waiting(sender: Any, original: Any) -> Any:
@@ -204,19 +183,34 @@ def _report_unread(sender: Any, serial: Any) -> None:
         _report_vain(sender, state)
 
 
+def _number(serial: Any) -> int:
+    return int(serial.__dict__[_STATE].number)
+
+
+def _begin(sender: Any, serial: Any, baud: Any) -> None:
+    serial.__dict__[_STATE] = _OpenSerial(sender.opened(str(serial.port), int(baud)))
+
+
+def _report_opened(sender: Any, serial: Any) -> None:
+    _begin(sender, serial, serial._baudrate)
+    sender.serials.add(serial)
+    _report_unread(sender, serial)
+
+
 _WRAPPERS: dict[str, Callable[[Any, _Method], _Method]] = {
     'read': _wrap_read,
     'write': _wrap_write,
     'in_waiting': _wrap_in_waiting,
     'fileno': _wrap_fileno,
-    'open': _wrap_open,
-    'close': _wrap_close,
-    '_reconfigure_port': _wrap_after(
-        lambda sender, serial, port: sender.rate(port, int(serial._baudrate))),
-    'reset_input_buffer': _wrap_after(
-        lambda sender, serial, port: sender.number('purged', port, 1), _report_before),
-    'reset_output_buffer': _wrap_after(
-        lambda sender, serial, port: sender.number('purged', port, 2)),
+    'open': _wrap_around(_report_opened),
+    'close': _wrap_around(
+        lambda sender, serial: sender.closed(serial.__dict__.pop(_STATE).number), _report_unread),
+    '_reconfigure_port': _wrap_around(
+        lambda sender, serial: sender.rate(_number(serial), int(serial._baudrate))),
+    'reset_input_buffer': _wrap_around(
+        lambda sender, serial: sender.number('purged', _number(serial), 1), _report_before),
+    'reset_output_buffer': _wrap_around(
+        lambda sender, serial: sender.number('purged', _number(serial), 2)),
 }
 
 
@@ -240,7 +234,7 @@ def tapped(port: Any, sender: Any) -> Iterator[None]:
     kind = type(port)
     found = {name: one for base in reversed(kind.__mro__) for name, one in vars(base).items()}
     own = {name: wrap(sender, found[name]) for name, wrap in _WRAPPERS.items() if name in found}
-    port.__dict__[_STATE] = _OpenSerial(sender.opened(str(port.port), int(port.baudrate)))
+    _begin(sender, port, port.baudrate)
     port.__class__ = type(kind.__name__, (kind,), own)
     try:
         yield
@@ -259,9 +253,6 @@ class _PatchingLoader:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._loader, name)
-
-    def create_module(self, spec: Any) -> Any:
-        return self._loader.create_module(spec)
 
     def exec_module(self, module: Any) -> None:
         self._loader.exec_module(module)

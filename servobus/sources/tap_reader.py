@@ -181,14 +181,11 @@ class TapReader:
             if not (file.startswith(f'{name}.') and file.endswith(sent.SUFFIX)
                     and hasattr(socket, 'AF_UNIX')):
                 continue
-            with socket.socket(socket.AF_UNIX) as probe:
+            with suppress(OSError), socket.socket(socket.AF_UNIX) as probe:
                 try:
                     probe.connect(path)
                 except ConnectionRefusedError:
-                    with suppress(OSError):
-                        os.unlink(path)
-                except OSError:
-                    pass
+                    os.unlink(path)
 
     def wait(self, seconds: float) -> list[TapRecord]:
         """Return the records until HOLD_S ago, in order; wait for more no longer than this."""

@@ -177,7 +177,7 @@ class Sender:
         self.name = name
         self.queue: deque[tuple[str, int, int, bytes]] = deque()
         self.lost = 0                          # records that found the queue full
-        self._ports: dict[int, tuple[str, int]] = {}       # number: name, rate
+        self._ports: dict[int, tuple[bytes, int]] = {}     # number: name, rate
         self._announced: set[int] = set()      # ports that listeners know as open
         self.serials: WeakSet[Any] = WeakSet() # the ports of pyserial that were opened
         self._numbers = 0
@@ -221,18 +221,19 @@ class Sender:
 
     def opened(self, name: str, baud: int, stamp: int = 0) -> int:
         """Take note of an open port; return its number. baud: 0 where it is unknown."""
+        encoded = name.encode('utf-8', 'replace')
         with self._lock:
             self._numbers = number = self._numbers % 0xFFFF + 1
-            self._ports[number] = (name, baud)
+            self._ports[number] = (encoded, baud)
             self._begin()
-        self.put(OPENED, number, name.encode('utf-8', 'replace'), stamp)
+        self.put(OPENED, number, encoded, stamp)
         if baud:
             self.number('baud', number, baud, stamp)
-        self._mark(USED + name.encode('utf-8', 'replace') + b'\n')
+        self._mark(USED + encoded + b'\n')
         return number
 
     def rate(self, port: int, baud: int, stamp: int = 0) -> None:
-        name, before = self._ports.get(port, ('', 0))
+        name, before = self._ports.get(port, (b'', 0))
         if baud != before:
             self._ports[port] = (name, baud)
             self.number('baud', port, baud, stamp)
@@ -317,10 +318,13 @@ class Sender:
     def _state(self) -> list[bytes]:
         """Return what a new reader missed: the ports that were opened before."""
         now = self.queue[0][2] if self.queue else time.monotonic_ns()
-        return [part for number, (name, baud) in list(self._ports.items())
-                if number in self._announced
-                for part in (record(OPENED, number, now, name.encode('utf-8', 'replace')),
-                             record('baud', number, now, NUMBER.pack(baud)))[:2 if baud else 1]]
+        records = []
+        for number, (name, baud) in list(self._ports.items()):
+            if number in self._announced:
+                records.append(record(OPENED, number, now, name))
+                if baud:
+                    records.append(record('baud', number, now, NUMBER.pack(baud)))
+        return records
 
     def _send(self) -> None:
         if self._missed:                       # a reader is looked for again

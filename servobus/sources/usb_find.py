@@ -17,6 +17,7 @@ from msg_defs.event import IN
 from msg_defs.event import OUT
 from servobus.port.port_error import PortError
 from servobus.port.port_error import Reason
+from servobus.port.port_users import file_text
 from servobus.port.port_users import tty_of
 from servobus.sources.adapters import Adapter
 from servobus.sources.adapters import adapter_of
@@ -81,13 +82,11 @@ def _interface(name: str, root: Path) -> Path:
 
 def _data_interface(device: Path, number: int) -> Path:
     """Return this interface of a device, or the one after it that holds a modem's data."""
-    interfaces = sorted(device.glob(f'{device.name}:*'),
-                        key=lambda one: _hex(one / 'bInterfaceNumber'))
-    following = [one for one in interfaces if _hex(one / 'bInterfaceNumber') >= number]
-    data = [one for one in following if len(_bulk(one)) == 2]
-    if not data:
-        raise _refused(device.name, 'has no pair of bulk endpoints', 'give the name of its tty')
-    return data[0]
+    interfaces = {_hex(one / 'bInterfaceNumber'): one for one in device.glob(f'{device.name}:*')}
+    for following, interface in sorted(interfaces.items()):
+        if following >= number and len(_bulk(interface)) == 2:
+            return interface
+    raise _refused(device.name, 'has no pair of bulk endpoints', 'give the name of its tty')
 
 
 def _bulk(interface: Path) -> dict[str, tuple[int, int]]:
@@ -109,10 +108,7 @@ def _latency(interface: Path) -> int | None:
 
 
 def _text(file: Path) -> str:
-    try:
-        return file.read_text().strip()
-    except OSError:
-        return ''
+    return file_text(file).strip()
 
 
 def _hex(file: Path) -> int:

@@ -102,12 +102,9 @@ class UsbListener(Listener):
             raise self._gone()
         if record.kind == reader.IDLE or record.stamp - self._last > self.idle_s * 1e9:
             self._report_idle(record.stamp)
-        if record.kind == reader.IDLE and self._place is not None:
-            self._check_place(self._place)
-
-    def _check_place(self, place: Place) -> None:
-        """Raise PortError when the adapter has gone while no program used it."""
-        if find(self.port.removeprefix(USB)).place != place:
+        # It may have gone while no program used it; then the kernel reports nothing.
+        if record.kind == reader.IDLE and self._place is not None \
+                and find(self.port.removeprefix(USB)).place != self._place:
             raise self._gone()
 
     def _decode_events(self, data: bytes, read_at: int) -> None:

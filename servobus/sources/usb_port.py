@@ -71,7 +71,6 @@ class UsbPort:
         self.adapter = adapter
         self._name = name
         self.later = 0                                 # ns that are added to stamps
-        self._bus, self._device = place.bus, place.device
         self._bulk = {place.bulk_in | INPUT: IN, place.bulk_out: OUT} if place.bulk_in else None
         self._setups = Setups()
         self._sizes: dict[int, int] = {}               # data on their way to the adapter
@@ -115,7 +114,7 @@ class UsbPort:
 
     def decode_event(self, event: UsbEvent) -> list[Chunk]:
         """Return what an event says about the port: bytes first, then changes."""
-        if event.device != self._device or event.bus != self._bus:
+        if (event.bus, event.device) != self.place[:2]:
             return []
         changes: Changes = []
         data, side = b'', UNKNOWN
@@ -128,8 +127,7 @@ class UsbPort:
             changes += _end_of(event)
         stamp = event.stamp + self.later
         chunks = [Chunk(stamp, self._name, data, side)] if data else []
-        return chunks + [Chunk(stamp, self._name, change=change) for change in changes] \
-            if changes else chunks
+        return chunks + [Chunk(stamp, self._name, change=change) for change in changes]
 
     def _bulk_data(self, event: UsbEvent) -> tuple[bytes, str, Changes]:
         endpoint, is_done, status, number, _, data, size = event[3:4] + event[5:]

@@ -8,6 +8,7 @@ How every console tool of this package ends: one line per mistake, no traceback,
 from __future__ import annotations
 
 from collections.abc import Callable
+from collections.abc import Iterable
 import io
 import os
 import shutil
@@ -43,22 +44,19 @@ def _run(tool: str, main: Callable[[list[str]], int | None]) -> int:
     try:
         is_command = take_over()
         code = main(sys.argv[1:]) or DONE
-    except KeyboardInterrupt:
-        pass
+    except (KeyboardInterrupt, BrokenPipeError):
+        pass                               # the reader of our output (head, less) has left
     except SystemExit as ending:           # argparse has said all
         code = ending.code if isinstance(ending.code, int) else COULD_NOT_RUN
-    except (UsageError, ParameterError) as error:
-        failure, code = error, WRONG_USAGE
-    except BrokenPipeError:                # the reader of our output (head, less) has left
-        pass
-    except (PortError, OSError) as error:
-        failure, code = error, COULD_NOT_RUN
+    except (UsageError, ParameterError, PortError, OSError) as error:
+        failure, code = error, exit_code(error)
     lost = _lost_output()
     if lost is not None and not isinstance(lost, BrokenPipeError):
         failure, code = OSError(lost.errno, lost.strerror, 'stdout'), COULD_NOT_RUN
     if failure is not None:
         complain(tool, failure, code)
-    if is_command:                         # all is said: what is left must not be interrupted
+    # All is said: what is left must not be interrupted.
+    if is_command and signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
         signal.signal(signal.SIGINT, lambda *_: os._exit(code))
     return code
 
@@ -98,14 +96,30 @@ def _discard(stream: TextIO) -> None:
 
 def complain(tool: str, error: Exception, code: int) -> int:
     """Print one line about an error under the name of the tool, and return `code`."""
-    text = str(error)
-    if isinstance(error, OSError) and error.strerror:
-        text = f'{error.filename}: {error.strerror}' if error.filename else error.strerror
     try:
-        print(f'{tool}: {printable(text)}', file=sys.stderr, flush=True)
+        print(f'{tool}: {one_line(error)}', file=sys.stderr, flush=True)
     except OSError:                        # it is full, or its reader has left
         _discard(sys.stderr)
     return code
+
+
+def exit_code(error: Exception) -> int:
+    """Return the exit code of a tool that an error ends."""
+    return WRONG_USAGE if isinstance(error, (UsageError, ParameterError)) else COULD_NOT_RUN
+
+
+def one_line(error: Exception) -> str:
+    """Return what is printed of an error."""
+    text = str(error)
+    if isinstance(error, OSError) and error.strerror:
+        text = f'{error.filename}: {error.strerror}' if error.filename else error.strerror
+    return printable(text)
+
+
+def print_problems(tool: str, problems: Iterable[str]) -> None:
+    """Print a line about each problem under the name of the tool, which goes on."""
+    for problem in problems:
+        print(f'{tool}: {printable(problem)}', file=sys.stderr)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:

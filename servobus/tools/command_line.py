@@ -9,6 +9,7 @@ import math
 from typing import Any
 from typing import NoReturn
 
+from servobus.errors import nearest
 from servobus.errors import UsageError
 from servobus.plain import printable
 from servobus.tools.cli import wrapped
@@ -20,7 +21,7 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, name: str, description: str, epilog: str = '', usage: str | None = None):
         super().__init__(
-            prog=name, usage=usage, description=description, epilog=epilog,
+            prog=name, usage=usage, description=description, epilog=epilog, allow_abbrev=False,
             formatter_class=argparse.RawDescriptionHelpFormatter)
         self.add_argument('--version', action=_Version, help='print the version and exit')
 
@@ -29,7 +30,10 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Let the tool end with one line, as after every other mistake."""
-        raise UsageError(f"{message.removeprefix('argument ')}; see {self.prog} --help")
+        word = message.removeprefix('unrecognized arguments: ').split()[0].partition('=')[0]
+        near = word.startswith('--') and nearest(word, self._option_string_actions)
+        remedy = f'did you mean {near}?' if near else f'see {self.prog} --help'
+        raise UsageError(f"{message.removeprefix('argument ')}; {remedy}")
 
 
 class _Version(argparse.Action):
@@ -41,10 +45,21 @@ class _Version(argparse.Action):
         parser.exit()
 
 
+def baud_rate(text: str) -> int:
+    """Return the rate (Bd) of '1M', '57.6k' or '115200'; ValueError where it is none."""
+    factor = {'k': 1e3, 'm': 1e6}.get(text[-1:].lower())
+    if factor is None:
+        return int(text)
+    rate = round(float(text[:-1]) * factor, 3)         # 57.6 has no exact float
+    if not rate.is_integer():
+        raise ValueError(text)
+    return int(rate)
+
+
 def number(kind: Callable[[str], float], least: float, most: float = math.inf, unit: str = ''
            ) -> Callable[[str], float]:
     """Return the type of an option: a number of this kind (int, float) within limits."""
-    what = 'a whole number' if kind is int else 'a number'
+    what = 'a number' if kind is float else 'a whole number'
     limits = f'from {least:.10g} to {most:.10g}'
     if most == math.inf:
         limits = f'of {least:.10g} or more'

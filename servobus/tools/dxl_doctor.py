@@ -28,11 +28,15 @@ from servobus.model.models import Models
 from servobus.plain import on_screen
 from servobus.plain import plain
 from servobus.plain import printable
+from servobus.port.port_error import PortError
 from servobus.sources.capture import Wire
 from servobus.sources.flight_recorder import FlightRecorder
 from servobus.sources.opening import open_source
 from servobus.sources.source_name import DEFAULT_BAUD
 from servobus.tools.cli import DONE
+from servobus.tools.cli import exit_code
+from servobus.tools.cli import one_line
+from servobus.tools.cli import print_problems
 from servobus.tools.cli import run_tool
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
@@ -81,6 +85,16 @@ def main() -> int:
 
 def _run(arguments: list[str]) -> int:
     options, command = parse_run(_parser(), arguments)
+    options.is_answered = False
+    try:
+        return _answer(options, command)
+    except (UsageError, ParameterError, PortError, OSError) as error:
+        if options.json and not (options.is_answered or isinstance(error, BrokenPipeError)):
+            print(json.dumps({'error': one_line(error), 'exit': exit_code(error)}))
+        raise
+
+
+def _answer(options: argparse.Namespace, command: Sequence[str]) -> int:
     if options.explain is not None:
         return _explain(options.explain)
     if options.source is None:
@@ -145,8 +159,8 @@ class _DoctorRun:
             verdict = self._print_verdict(seconds)             # a program may go on
             if self._options.report:
                 self._write_report(seconds)
-            for problem in [*source.problems(), *([self._flight.words] if self._flight else [])]:
-                print(f'dxl_doctor: {printable(problem)}', file=sys.stderr)
+            print_problems('dxl_doctor', [*source.problems(),
+                                          *([self._flight.words] if self._flight else [])])
         return verdict.code
 
     def _listen(self) -> float:
@@ -154,7 +168,7 @@ class _DoctorRun:
         source, examination = self._source, self._examination
         began_s = time.monotonic()
         is_over = True
-        with _Progress() as progress:
+        with _Progress(self._program is not None) as progress:
             try:
                 for chunk in source.chunks():
                     if chunk is not None:
@@ -233,21 +247,24 @@ class _DoctorRun:
 
 
 class _Progress:
-    """What is heard meanwhile, in one line in place, and the first finding; on a terminal."""
+    """
+    What is heard meanwhile, in one line in place, on a terminal; and the first finding.
 
-    def __init__(self) -> None:
+    That of a program comes without a terminal too: it may run for hours before the answer.
+    """
+
+    def __init__(self, of_program: bool) -> None:
         self._is_shown = sys.stderr.isatty()
+        self._awaits_finding = self._is_shown or of_program
         self._next_s = PROGRESS_EVERY_S
-        self._is_well = True
 
     def show(self, examination: Examination, now_s: float) -> None:
-        if not self._is_shown:
-            return
-        worst = examination.worst() if self._is_well else ''
+        worst = examination.worst() if self._awaits_finding else ''
         if worst:
-            self._is_well = False
-            on_screen(sys.stderr, f'\r\033[Kdxl_doctor: {plain(worst)}\r\n')
-        if now_s >= self._next_s:
+            self._awaits_finding = False
+            text = f'dxl_doctor: {plain(worst)}'
+            on_screen(sys.stderr, f'\r\033[K{text}\r\n' if self._is_shown else f'{text}\n')
+        if self._is_shown and now_s >= self._next_s:
             self._next_s = now_s + PROGRESS_EVERY_S
             text = plain(f'dxl_doctor, {now_s:.0f} s, Ctrl-C ends: {examination.summary()}')
             on_screen(sys.stderr, f'\r{text[:78]}\033[K\r')       # a program may print there too
@@ -261,14 +278,16 @@ class _Progress:
 
 
 def _print(verdict: Verdict, for_programs: dict[str, Any], options: argparse.Namespace) -> None:
+    options.is_answered = True         # a second object would be no JSON
     if options.json:
         print(json.dumps(for_programs), flush=True)
         return
     if options.source == RUN:
         print()                        # the program may have left a line without an end
     width, height = shutil.get_terminal_size((WIDTH, HEIGHT + 1))
-    print('\n'.join(screen(verdict, has_colours(), width, max(HEIGHT, height - 1))),
-          flush=True)
+    is_whole = options.full or not sys.stdout.isatty()
+    print('\n'.join(screen(verdict, has_colours(), width,
+                           None if is_whole else max(HEIGHT, height - 1))), flush=True)
 
 
 def _show_saved(saved: SavedReport, models: Models, options: argparse.Namespace) -> int:
@@ -285,8 +304,7 @@ def _show_saved(saved: SavedReport, models: Models, options: argparse.Namespace)
                        quiet=[] if examination.bytes else [NOTHING])
     verdict = saved.verdict or now
     _print(verdict, saved.as_json or as_json(now, buses, seconds), options)
-    for problem in (*saved.problems, *_difference(saved, buses)):
-        print(f'dxl_doctor: {problem}', file=sys.stderr)
+    print_problems('dxl_doctor', [*saved.problems, *_difference(saved, buses)])
     return verdict.code
 
 
@@ -316,6 +334,7 @@ def _parser() -> Parser:
     add('--with-host', action='store_true',
         help='put host, user, serial number and command line into it')
     add('--explain', metavar='TEXT', help='explain an error text and exit')
+    add('--full', action='store_true', help='do not cut the answer to the size of the terminal')
     add('--json', action='store_true', help='print one JSON object, for programs')
     return parser
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import sys
 
 from msg_defs.dxl_instruction import NAMES
+from servobus.errors import did_you_mean
 from servobus.errors import UsageError
 from servobus.model.models import check_models
 from servobus.model.models import model_files
@@ -18,6 +19,7 @@ from servobus.model.models import Models
 from servobus.plain import printable
 from servobus.tools.cli import COULD_NOT_RUN
 from servobus.tools.cli import DONE
+from servobus.tools.cli import print_problems
 from servobus.tools.cli import run_tool
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
@@ -75,8 +77,7 @@ def _run(arguments: list[str]) -> int:
 def _check_models(folder: str) -> int:
     """Say every problem of a folder of model files."""
     problems = check_models(folder)
-    for problem in problems:
-        print(f'dxl_dump: {printable(problem)}', file=sys.stderr)
+    print_problems('dxl_dump', problems)
     if problems:
         return COULD_NOT_RUN
     print(f'{printable(folder)}: {len(model_files(Path(folder)))} model files, no problem')
@@ -120,8 +121,8 @@ def _code(text: str) -> tuple[int]:
     except ValueError:
         code = -1
     if not 0 <= code <= 0xFF:
-        raise UsageError(f"{text!r}: not an instruction; use one of {', '.join(codes)}, or a code "
-                         'like 0x83')
+        raise UsageError(f'{text!r}: not an instruction; {did_you_mean(name, codes)}; or give a '
+                         'code like 0x83')
     return (code,)
 
 

@@ -12,6 +12,8 @@ import argparse
 from collections.abc import Iterable
 from collections.abc import Iterator
 from collections.abc import Mapping
+from contextlib import closing
+from contextlib import ExitStack
 from contextlib import suppress
 import math
 import os
@@ -37,6 +39,7 @@ from servobus.sources.opening import open_file
 from servobus.sources.source import File
 from servobus.sources.source import RawFile
 from servobus.tools.cli import DONE
+from servobus.tools.cli import print_problems
 from servobus.tools.cli import run_tool
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
@@ -46,7 +49,7 @@ from servobus.tools.run import refuse_run_word
 SPEED_MIN = 1e-6                   # times the original speed
 SETTLE_S = 0.5                     # a reader has opened the port, and sets it up
 LAST_QUESTION_S = 1.5              # at the end: until the last instruction is given up
-LOOP_PAUSE_NS = 100_000_000
+LOOP_PAUSE_S = 0.1
 POLL_S = 0.05
 RAW_CHUNK_BYTES = 200              # bytes of a raw file that are sent at once
 
@@ -105,15 +108,12 @@ def _run(arguments: list[str]) -> int:
         raise UsageError(f'--speed {options.speed:g}: not possible; give 1 for the original '
                          'timing, 0 for the speed of the reader')
     wires = _wires(options)
-    outlets: dict[str, Pty] = {}
-    try:
-        for name in wires:
-            outlets[name] = Pty(_link(options.link, name, len(wires)))
-            outlets[name].let_go()
-        _play_file(options, wires, outlets)
-    finally:
+    with ExitStack() as stack:
+        outlets = {name: stack.enter_context(Pty(_link(options.link, name, len(wires))))
+                   for name in wires}
         for outlet in outlets.values():
-            outlet.close()
+            outlet.let_go()
+        _play_file(options, wires, outlets)
     return DONE
 
 
@@ -126,21 +126,21 @@ def _play_file(options: argparse.Namespace, wires: dict[str, Wire],
     _wait_for_readers(outlets.values())
     print('playing', flush=True)
     while True:
-        file = open_file(options.capture, options.baud, options.adapter, tool='dxl_replay')
-        try:
+        with _open(options) as file:
             played = _play(_chunks(file, options.side), outlets, options.speed)
-        finally:
-            file.close()
         print(f'played {played.chunks} chunks, {played.bytes} bytes, '
               f'at most {1e3 * played.late_s:.1f} ms late', flush=True)
-        for problem in file.problems():
-            print(f'dxl_replay: {printable(problem)}', file=sys.stderr)
+        print_problems('dxl_replay', file.problems())
         if not options.loop:
             break
-        time.sleep(LOOP_PAUSE_NS / 1e9)
+        time.sleep(LOOP_PAUSE_S)
     time.sleep(LAST_QUESTION_S)
     while options.stay:
         time.sleep(POLL_S)
+
+
+def _open(options: argparse.Namespace) -> closing[File]:
+    return closing(open_file(options.capture, options.baud, options.adapter, tool='dxl_replay'))
 
 
 def _chunks(file: File, side: str | None) -> Iterator[Chunk]:
@@ -159,20 +159,19 @@ def _wires(options: argparse.Namespace) -> dict[str, Wire]:
     if not stat.S_ISREG(mode):
         raise UsageError(f'{options.capture}: not a file, and a capture is read more than once; '
                          'give a file')
-    source = open_file(options.capture, options.baud, options.adapter, tool='dxl_replay')
-    chunks = _chunks(source, options.side)
-    is_empty = next(chunks, None) is None
-    wires = source.wires
-    if is_capture(options.capture):            # its headers are enough
-        with open(options.capture, 'rb') as file:
-            reader = Reader(line for line in lines(file) if line.startswith(b'#'))
-            list(reader)
-        wires = {name: wire if options.baud is None else wire._replace(baud=options.baud)
-                 for name, wire in reader.wires.items()}
-    else:
-        for _ in chunks:                       # in a pcap file a bus comes with its packets
-            pass
-    source.close()
+    with _open(options) as source:
+        chunks = _chunks(source, options.side)
+        is_empty = next(chunks, None) is None
+        wires = source.wires
+        if is_capture(options.capture):        # its headers are enough
+            with open(options.capture, 'rb') as file:
+                reader = Reader(line for line in lines(file) if line.startswith(b'#'))
+                list(reader)
+            wires = {name: wire if options.baud is None else wire._replace(baud=options.baud)
+                     for name, wire in reader.wires.items()}
+        else:
+            for _ in chunks:                   # in a pcap file a bus comes with its packets
+                pass
     if is_empty:
         what = 'no bytes' if options.side is None else f'no bytes of --side {options.side}'
         raise UsageError(f'{options.capture}: it holds {what}; give another capture')

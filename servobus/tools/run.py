@@ -24,13 +24,14 @@ from servobus.settings import check_models
 from servobus.settings import load_models
 from servobus.sources.capture import BAUD_MAX
 from servobus.sources.opening import how_to_hear
+from servobus.tools.command_line import baud_rate
 from servobus.tools.command_line import number
 from servobus.tools.start_program import BY
 from servobus.tools.start_program import WAYS
 from servobus.tools.start_program import with_python
 
 RUN = 'run'
-BAUD = number(int, 1, BAUD_MAX, 'Bd')
+BAUD = number(baud_rate, 1, BAUD_MAX, 'Bd')
 _ANY = ('my_script.py',)
 
 
@@ -81,8 +82,8 @@ def add_bus_options(parser: argparse.ArgumentParser, runs: bool = True) -> None:
     add = parser.add_argument
     if runs:
         add('--by', choices=WAYS, default='', help=BY)
-    add('-b', '--baud', type=BAUD, help='baud rate of the bus (default: that of the source, else '
-        '2000000)')
+    add('-b', '--baud', type=BAUD, help='baud rate of the bus, e.g. 57.6k or 1M (default: that of '
+        'the source, else 2000000)')
     add('--protocol', choices=PROTOCOLS, default=DEFAULTS.protocol,
         help='protocol of the bus: auto, 2, 1 (Dynamixel) or feetech (default: auto, learned '
              'from the traffic)')

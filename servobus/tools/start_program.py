@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+import errno
 from importlib import metadata
 import os
 from pathlib import Path
@@ -69,7 +70,7 @@ class StartedProgram:
         outside[TAP_MARK] = str(self._mark)
         try:
             if self.way == STRACE:
-                self._start_traced(program, command, outside, name, stdout)
+                self._start_traced(program, command, stdout)
             else:
                 self.print_line(f'{program} is heard through pyserial')
                 self.child = subprocess.Popen([program, *command[1:]], stdout=stdout,
@@ -83,8 +84,7 @@ class StartedProgram:
 
             threading.Thread(target=self._watch, args=(strace,), daemon=True).start()
 
-    def _start_traced(self, program: str, command: Sequence[str], env: dict[str, str], name: str,
-                      stdout: int | None) -> None:
+    def _start_traced(self, program: str, command: Sequence[str], stdout: int | None) -> None:
         if sys.platform != 'linux':
             raise OSError(0, 'strace is for Linux; leave out --by', self._command)
         from servobus.sources import strace  # needs fcntl and termios
@@ -98,7 +98,13 @@ class StartedProgram:
                             f'takes them away; write sudo {self._tool} ...')
         self.print_line(f'{program} is {TRACED}')
         self.child, self._relay = strace.start(
-            env, name, self._folder.name, [program, *command[1:]], stdout)
+            self._env, self._name, self._folder.name, [program, *command[1:]], stdout)
+
+    @property
+    def exit_code(self) -> int:
+        """How it ended, as a shell counts; 0 while it runs."""
+        code = self.child.returncode or 0
+        return 128 - code if code < 0 else code
 
     @property
     def is_heard_out(self) -> bool:
@@ -227,12 +233,11 @@ def _find(command: Sequence[str], env: dict[str, str]) -> str:
     found = shutil.which(command[0], path=env.get('PATH')) or shutil.which(command[0])
     if found is not None:
         return found
-    kind = PermissionError if os.path.isfile(command[0]) else FileNotFoundError
     meant = with_python(command)[:2]
     todo = f'write {shlex.join(meant)}' if meant[0] != command[0] \
         else 'check the name of the program'
-    number = 13 if kind is PermissionError else 2
-    raise kind(number, f'{os.strerror(number)}; {todo}', command[0])
+    number = errno.EACCES if os.path.isfile(command[0]) else errno.ENOENT
+    raise OSError(number, f'{os.strerror(number)}; {todo}', command[0])
 
 
 def is_python(program: str) -> bool:

@@ -47,8 +47,7 @@ def _run(arguments: list[str]) -> int:
     problem = started.end()
     if problem:
         print(f'dxl_tap: {problem}', file=sys.stderr)
-    code = started.child.returncode
-    return 128 - code if code < 0 else code
+    return started.exit_code
 
 
 def _parser() -> Parser:

@@ -20,7 +20,7 @@ import subprocess
 import sys
 from typing import NamedTuple
 
-from mecarover_serial.domain_lock import BENCHMARKS
+from mecarover_fakes.domain_lock import BENCHMARKS
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 _TICKS = os.sysconf('SC_CLK_TCK')

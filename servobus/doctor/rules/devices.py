@@ -11,15 +11,17 @@ from msg_defs.reports import Level
 from servobus.bus import evidence as ev
 from servobus.bus import report as words
 from servobus.bus.report import DeviceReport
-from servobus.bus.table import Observed
 from servobus.doctor.case import Case
 from servobus.doctor.case import SIGN_BIT
 from servobus.doctor.facts import ALIVE_MIN_VOLTS
+from servobus.doctor.facts import is_of_one_turn
 from servobus.doctor.facts import is_off
 from servobus.doctor.facts import is_watched
 from servobus.doctor.facts import last_read
 from servobus.doctor.facts import limit_of
 from servobus.doctor.facts import RANGE_ERROR
+from servobus.doctor.facts import raw_value
+from servobus.doctor.facts import span
 from servobus.doctor.facts import SUPPLY
 from servobus.doctor.rule import all_ids
 from servobus.doctor.rule import ANSWER
@@ -40,7 +42,7 @@ NEAR_VOLTS = 0.3                   # to a limit: a motion takes it there
 WATCHDOG_TRIPPED = (0xFF, -1)
 EDGE_STEPS = 1024                  # so near the ends of a turn it may jump across
 GOAL_BYTES = 2                     # with four a position does not end at a turn
-GOAL_FRESH_S = 3.0
+VALUE_FRESH_S = 3.0                # loops send and read several times a second: it is of now
 WRAPS_MIN = 2                      # across the end of the turn and back
 ERROR_BYTE_BY_CHANCE = 8           # damaged answers to one error byte: their sum has one byte
 _FREE_IT = ('free the joint or reduce its load; then switch its torque off and on, or its power '
@@ -56,13 +58,12 @@ _REMEDIES = {
 _OF_SUPPLY = 'voltage'     # ends the name of the first bit of the 1.0 family where it is alone
 AT_ZERO_MAX = 1                    # as another register reads, or a dead sensor
 ZERO_MIN_REPORTS = 8               # 4 s: a joint goes there, and does not stay through far goals
-TURN_RADIANS = 6.28
 _PLACE = 'Present Position'
 _HEAT = 'Present Temperature', 'Temperature Limit'
 _ERRORS = ('Hardware Error Status', 'Error Code')
 
 
-@Rule(level=Level.ERROR, holds=False, each_device=True,
+@Rule(level=Level.ERROR, holds=False,
       symptoms={'error bits'})
 def hardware_error(_: Case, device: DeviceReport) -> Found | None:
     """
@@ -100,8 +101,7 @@ def latched_error(device: DeviceReport) -> Claim | None:
                  rests_on=(ANSWER,))
 
 
-@Rule(level=Level.ERROR, each_device=True,
-      symptoms={'proof'},
+@Rule(level=Level.ERROR, needs_registers={'Bus Watchdog'},
       accounts_for={'refused address', 'refused access', 'joint at rest'})
 def watchdog(case: Case, device: DeviceReport) -> Found | None:
     """
@@ -109,12 +109,9 @@ def watchdog(case: Case, device: DeviceReport) -> Found | None:
 
     Do: write 0 to it; write goals more often.
     """
-    seen = case.values[device.id].get('Bus Watchdog')
-    if seen is None:
-        return None
+    seen = case.values[device.id]['Bus Watchdog']
     refused = sum(one.detail.error == RANGE_ERROR and _is_goal(device, one.detail.address)
-                  for one in case.incidents(ev.REFUSED, device)) \
-        if case.count(ev.REFUSED, device) else 0
+                  for one in case.incidents(ev.REFUSED, device))
     tripped = seen.source == 'r' and seen.value.raw in WATCHDOG_TRIPPED
     if not tripped and not (refused >= INCIDENTS_MIN and seen.value.raw):
         return None
@@ -129,8 +126,7 @@ def _is_goal(device: DeviceReport, address: int) -> bool:
     return field is not None and field.name.startswith('Goal')
 
 
-@Rule(level=Level.ERROR,
-      symptoms={'proof'})
+@Rule(level=Level.ERROR)
 def too_hot(case: Case) -> Claims:
     """
     At its Temperature Limit; WARN from 5 degrees below.
@@ -138,7 +134,7 @@ def too_hot(case: Case) -> Claims:
     Do: less load, more air.
     """
     unknown = []
-    for device in case.report.devices:
+    for device in case.devices:
         temperature = last_read(case, device, _HEAT[0])
         if temperature is None:
             continue
@@ -170,7 +166,7 @@ def voltage(case: Case) -> Claims:
     """
     unknown, pinged = [], []
     found = []
-    for device in case.report.devices:
+    for device in case.devices:
         error = latched_error(device) if device.last_error.endswith(_OF_SUPPLY) else None
         # An error bit of now says more than a value of then.
         volts = last_read(case, device, SUPPLY[0], WINDOW_S if error else inf)
@@ -195,13 +191,13 @@ def voltage(case: Case) -> Claims:
         elif error:
             found.append(error._replace(figures={'voltage (V)': f'{volts:.1f}'}))
     yield from found
+    ids = tuple([one.device for one in found if one.device is not None])
     if len(found) >= SUPPLY_MIN_DEVICES:
         yield Claim(f'{len(found)} devices near or beyond a voltage limit: the supply is '
                     'the cause; measure it, charge the battery, check cable gauge',
-                    {'devices': all_ids([one.device for one in found if one.device])},
+                    {'devices': all_ids(ids)},
                     _level(any(one.level is not Level.WARN for one in found)),
-                    covers=tuple(one.device for one in found if one.device is not None),
-                    rests_on=SUPPLY)
+                    covers=ids, rests_on=SUPPLY)
     if unknown:
         yield Doubt(f'{first_ids(unknown, 3)}: voltage limits never read')
     if pinged:
@@ -215,18 +211,17 @@ def _supply_claim(device: DeviceReport, volts: float, is_beyond: bool, where: st
                  _level(is_beyond), device=device.id, rests_on=SUPPLY)
 
 
-@Rule(each_device=True,
-      symptoms={'proof'})
+@Rule(needs_registers={'Goal Position', _PLACE})
 def range_wraps(case: Case, device: DeviceReport) -> Found | None:
     """
     Positions jump between 4095 and 0 while goals are sent (1.0 family).
 
     Do: calibrate with the joint in the middle of its range.
     """
-    goal, place = map(case.values[device.id].get, ('Goal Position', 'Present Position'))
-    if goal is None or goal.source != 'w' or goal.age_s > GOAL_FRESH_S \
-            or goal.field.size != GOAL_BYTES \
-            or place is None or not is_watched(case, device, place):
+    values = case.values[device.id]
+    goal, place = values['Goal Position'], values[_PLACE]
+    if goal.source != 'w' or goal.age_s > VALUE_FRESH_S or goal.field.size != GOAL_BYTES \
+            or not is_watched(case, device, place):
         return None
     places = [one.position for one in case.samples.get(device.id, ()) if one.position is not None]
     beyond = [place < EDGE_STEPS for place in places
@@ -235,50 +230,42 @@ def range_wraps(case: Case, device: DeviceReport) -> Found | None:
         return None                            # it goes the long way, as it can
     return Claim(f'its joint moves across the end of the turn, from {TURN_STEPS - 1} to 0, '
                  'where goals make it turn the long way round: calibrate it again, with the joint '
-                 'in the middle of its range', rests_on=('Present Position',))
+                 'in the middle of its range', rests_on=(_PLACE,))
 
 
-@Rule(symptoms={'proof'})
-def impossible_position(case: Case) -> Claims:
+@Rule(needs_registers={_PLACE})
+def impossible_position(case: Case, device: DeviceReport) -> Found | None:
     """
     A position beyond a turn in spite of its limits (Feetech).
 
     Do: switch its power off and on, calibrate it once.
     """
-    for device in case.report.devices:
-        values = case.values[device.id]
-        if _PLACE not in values:
-            continue
-        place = values[_PLACE]
-        if place.source != 'r' or place.age_s > GOAL_FRESH_S:
-            continue
-        if 0 <= place.value.raw <= AT_ZERO_MAX:
-            yield from _doubt_zero(case, device)
-        elif device.model.protocol == 'feetech' and place.value.raw >= TURN_STEPS \
-                and 'Max Position Limit' in values and 'Min Position Limit' in values:
-            yield from _claim_beyond(device, place, values)
+    place = case.values[device.id][_PLACE]
+    raw = place.value.raw
+    if place.source != 'r' or place.age_s > VALUE_FRESH_S:
+        return None
+    if 0 <= raw <= AT_ZERO_MAX:
+        return _doubt_zero(case, device)
+    if device.model.protocol != 'feetech' or raw < TURN_STEPS or not is_of_one_turn(place.field):
+        return None
+    low, high, mode = (raw_value(case, device, name) for name in (
+        'Min Position Limit', 'Max Position Limit', 'Operating Mode'))
+    if low is None or high is None or high <= low or mode:
+        return None
+    steps = raw if raw < SIGN_BIT else SIGN_BIT - raw
+    return Claim(f'its position is {steps:.0f}, and within its limits only 0 to '
+                 f'{TURN_STEPS - 1} can be: calibrated twice; switch its power off and on, '
+                 'then write 0 to Homing Offset and calibrate it once',
+                 {'position': f'{steps:.0f}'}, rests_on=(_PLACE,))
 
 
-def _claim_beyond(device: DeviceReport, place: Observed, values: dict[str, Observed]) -> Claims:
-    mode = values.get('Operating Mode')
-    if values['Max Position Limit'].value.raw > values['Min Position Limit'].value.raw \
-            and (mode is None or not mode.value.raw) \
-            and round(TURN_STEPS * (place.field.scale or 0), 2) == TURN_RADIANS:
-        raw = place.value.raw
-        steps = raw if raw < SIGN_BIT else SIGN_BIT - raw
-        yield Claim(f'its position is {steps:.0f}, and within its limits only 0 to '
-                    f'{TURN_STEPS - 1} can be: calibrated twice; switch its power off and on, '
-                    'then write 0 to Homing Offset and calibrate it once',
-                    {'position': f'{steps:.0f}'}, device=device.id, rests_on=(_PLACE,))
-
-
-def _doubt_zero(case: Case, device: DeviceReport) -> Claims:
+def _doubt_zero(case: Case, device: DeviceReport) -> Doubt | None:
     samples = [one for one in case.samples.get(device.id, ()) if one.goal is not None]
-    goals = [one.goal for one in samples if one.goal is not None]
-    if len(samples) >= ZERO_MIN_REPORTS and max(goals) - min(goals) >= GOAL_FAR_STEPS \
-            and all(0 <= (one.position or 0) <= AT_ZERO_MAX for one in samples):
-        yield Doubt('its position reads 0 or 1 for all its goals: check address and size of that '
-                    'read, and its torque; else its sensor is broken', device.id)
+    if len(samples) < ZERO_MIN_REPORTS or span([one.goal for one in samples]) < GOAL_FAR_STEPS \
+            or any(not 0 <= (one.position or 0) <= AT_ZERO_MAX for one in samples):
+        return None
+    return Doubt('its position reads 0 or 1 for all its goals: check address and size of that '
+                 'read, and its torque; else its sensor is broken')
 
 
 RULES = (hardware_error, watchdog, too_hot, voltage, range_wraps, impossible_position)

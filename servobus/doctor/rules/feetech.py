@@ -33,7 +33,6 @@ _OF_LOCK = {'1': ('ignores it', 'switch its power off and on to unlock it'),
 
 
 @Rule(needs_incident=(ev.BAUD_WRITTEN,), protocols=(FEETECH,),
-      symptoms={'proof'},
       accounts_for={*SILENCE, 'changed rate'})
 def baud_code(case: Case, device: DeviceReport) -> Found | None:
     """
@@ -52,8 +51,7 @@ def baud_code(case: Case, device: DeviceReport) -> Found | None:
                  {'code': code})
 
 
-@Rule(each_device=True, protocols=FAMILY_1,
-      symptoms={'proof'})
+@Rule(protocols=FAMILY_1)
 def lock(case: Case, device: DeviceReport) -> Found | None:
     """
     EEPROM written while Lock is 1.
@@ -78,8 +76,7 @@ def lock(case: Case, device: DeviceReport) -> Found | None:
                  {'written': ', '.join(dict.fromkeys(written))})
 
 
-@Rule(needs_incident=(ev.CALIBRATED, ev.OFFSET_WRITTEN),
-      symptoms={'proof'})
+@Rule(needs_incident=(ev.CALIBRATED, ev.OFFSET_WRITTEN))
 def calibrated_twice(case: Case, device: DeviceReport) -> Found | None:
     """
     The new offset includes the old one, or was measured with it.
@@ -109,8 +106,7 @@ def _signed(offset: int) -> int:
     return offset if offset < OFFSET_SIGN else OFFSET_SIGN - offset
 
 
-@Rule(subject='bus',
-      symptoms={'proof'})
+@Rule(subject='bus')
 def mixed_firmware(case: Case) -> Claims:
     """
     One model with different firmware.
@@ -118,7 +114,7 @@ def mixed_firmware(case: Case) -> Claims:
     Do: update them.
     """
     by_model: defaultdict[str, dict[int, str]] = defaultdict(dict)
-    for device in case.report.devices:
+    for device in case.devices:
         if device.model.protocol == FEETECH:
             seen = case.values[device.id]
             parts = [seen[name].value.text for name in (

@@ -30,6 +30,7 @@ from servobus.doctor.facts import fatal_wait
 from servobus.doctor.facts import is_off
 from servobus.doctor.facts import is_rate_search
 from servobus.doctor.facts import is_watched
+from servobus.doctor.facts import span
 from servobus.doctor.rule import about
 from servobus.doctor.rule import all_ids
 from servobus.doctor.rule import Claim
@@ -56,7 +57,7 @@ ADAPTER_HOLD_US = 20_000           # so long an adapter may hold an answer back 
 LONG_WAIT_MS = 50                  # a time-out that no sound servo and adapter needs
 ACKS_MISSED_LIMIT = 4              # as `missed_limit`
 GOAL_MOVES_STEPS = 20              # a goal that changes less may be held by friction
-STOPPED_MIN_S = 1.0                # standing still for so long means something
+STOPPED_MIN_S = 1.0                # two reports at the usual 2 Hz: one may be before it starts
 STILL_MIN_S = 2.5                  # the same where its torque was not read
 FOLLOW_WINDOW_S = 4.0              # samples of so long show whether it follows
 SPEED_MIN = 10                     # units of Goal Velocity; friction may hold less
@@ -87,13 +88,11 @@ def brown_out(case: Case) -> Claims:
     begin = last.stamp - last.detail.ms * NS_PER_MS
     together = [one for one in absences if one.stamp > begin]
     if len({one.device for one in together}) == 1:     # others waited for it, unasked
-        together += [other for number, device in case.devices.items()
+        together += [other for number, device in case.by_id.items()
                      if number != last.device and device.window.not_served and not device.alert
-                     and (_restart_proof(case, other := replace(last, device=number))
-                          or _voltage_dip(case, number))]
+                     and _supply_proof(case, other := replace(last, device=number))]
     ids = sorted({one.device for one in together})
-    proofs = [proof for one in together if (proof := _restart_proof(case, one) or
-                                            _voltage_dip(case, one.device))]
+    proofs = [proof for one in together if (proof := _supply_proof(case, one))]
     if len(ids) > 1 and proofs:
         yield Claim(f'{first_ids(ids, 2)} restarted together ({proofs[0]}): the supply failed; '
                     'check battery and cables, set up again',
@@ -109,18 +108,20 @@ def _was_with_all(case: Case, back: Incident[ev.SilentFor], ids: list[int]) -> b
     """Tell whether nothing at all answered while a device was away, and several were asked."""
     begin = back.stamp - back.detail.ms * NS_PER_MS
     waits = [one for one in case.report.waits if begin < one.stamp <= back.stamp]
-    asked = {cycle.ids[0] for cycle in case.report.cycles for stamp in cycle.stamps
+    asked = {cycle.ids[0] for cycle in case.cycles for stamp in cycle.stamps
              if cycle.ids != (BROADCAST,) and (begin < stamp < back.stamp or (
                  begin < cycle.stamps[0] and len(cycle.stamps) < cycle.asked))}     # or unknown
     return len(waits) >= INCIDENTS_MIN and not _hurries(case) and {*ids} >= asked \
         and not any(one.is_spoilt for one in waits) and len({one.device for one in waits}) > 1
 
 
-def _voltage_dip(case: Case, number: int) -> str:
+def _supply_proof(case: Case, back: Incident[ev.SilentFor]) -> str:
+    """Return what says that a device restarted or had too little voltage, '' if nothing does."""
+    number = back.device
     voltages = [one.voltage for one in case.samples.get(number, ()) if one.voltage]
-    if voltages and min(voltages) < DIP_MAX_SHARE * voltages[-1]:
-        return f'{number:03} measured {min(voltages):.1f} V before, {voltages[-1]:.1f} V now'
-    return ''
+    dip = f'{number:03} measured {min(voltages):.1f} V before, {voltages[-1]:.1f} V now' \
+        if voltages and min(voltages) < DIP_MAX_SHARE * voltages[-1] else ''
+    return _restart_proof(case, back) or dip
 
 
 @Rule(subject='bus', level=Level.ERROR, holds=False,
@@ -135,18 +136,18 @@ def all_silent(case: Case) -> Claims:
     to the data line.
     """
     asked, heard = case.increase_of('instructions', GONE_S), case.increase_of('answers', GONE_S)
-    missing = [device.id for device in case.report.devices
+    missing = [device.id for device in case.devices
                if device.missed_in_a_row or is_waiting(device)]
     figures = {'instructions': asked or case.report.counters['Instructions']}     # or too short
-    is_new = all(device.last_heard_s is None for device in case.report.devices)
+    is_new = all(device.last_heard_s is None for device in case.devices)
     if _waits_for_one(case, missing) or _hurries(case, 1) or (missing and all(
-            _is_ping_only(case, case.devices[number]) for number in missing)):
+            _is_ping_only(case, case.by_id[number]) for number in missing)):
         return
-    if len(missing) > 1 and ((case.report.failed and is_new)
+    if len(missing) > 1 and ((case.failed and is_new)
                              or (asked >= 5 and heard <= 0 and case.gone)):
         first = case.gone[0] if len(case.gone) == 1 else None
         alone = '' if first is None else f'; or {first:03} is dead and the others wait for it'
-        hint = '' if case.report.has_sides else '; or only the master is heard'
+        hint = '' if case.has_sides else '; or only the master is heard'
         yield Claim(f'none of {len(missing)} devices answers the master: check power and '
                     f'first cable{_OF_THE_MASTER if is_new else alone}{hint}', figures)
     elif not case.report.is_answered and _asks_in_vain(case):
@@ -170,7 +171,7 @@ def _waits_for_one(case: Case, missing: list[int]) -> bool:
     return len(case.gone) == 1 and all(
         device.last_heard_s is None if device.id in case.gone
         else device.last_heard_s is not None and device.waiting_behind == case.gone[0]
-        for device in map(case.devices.__getitem__, missing))
+        for device in map(case.by_id.__getitem__, missing))
 
 
 def _hurries(case: Case, least: int = INCIDENTS_MIN) -> bool:
@@ -188,7 +189,7 @@ def broken_cable(case: Case) -> Claims:
 
     Do: check the cable between the two named.
     """
-    chain = [number for number in case.report.chain if number in case.devices]
+    chain = [number for number in case.report.chain if number in case.by_id]
     tail = 0
     while tail < len(chain) and _cut_off(case, chain[-1 - tail]):
         tail += 1
@@ -200,7 +201,7 @@ def broken_cable(case: Case) -> Claims:
 
 
 def _cut_off(case: Case, number: int) -> bool:
-    return number in case.gone or is_waiting(case.devices[number])
+    return number in case.gone or is_waiting(case.by_id[number])
 
 
 @Rule(level=Level.ERROR, holds=False,
@@ -212,7 +213,13 @@ def sync_read_stops(case: Case) -> Claims:
 
     Do: repair this one first, or take it out of the list.
     """
-    return _claim_silent(case, True)
+    for number in () if _hurries(case) else case.gone:
+        after = _devices_after(case, number)
+        if after:
+            yield Claim(f'silent, and the Sync Read ends there: {first_ids(after, 2)} after it '
+                        'are never read; check its power and cable, or leave it out',
+                        {'not served': all_ids(after), **_wait_figures(case, number)},
+                        device=number)
 
 
 @Rule(level=Level.ERROR, holds=False,
@@ -226,46 +233,39 @@ def no_answer(case: Case) -> Claims:
 
     Do: check power, plug, ID, baud rate.
     """
-    yield from _claim_silent(case, False)
+    hurries = _hurries(case)
+    for number in case.gone:
+        if hurries:
+            yield Doubt('no answer in time, and others are late: raise the time-out, or check '
+                        'power and ID', number, f'let the program wait {LONG_WAIT_MS} ms for '
+                        f'{number:03}: if it answers then, its time-out was too short')
+        elif not _devices_after(case, number):
+            yield _no_answer_claim(case, number)
     yield from _claim_at_the_end(case)
-    for device in case.report.devices:
+    for device in case.devices:
         if device.state == words.EXPECTED and device.last_heard_s is None \
                 and not (device.window.asked or device.window.not_served):
             yield Doubt(f'in {case.names.devices}, but the master never asks it', device.id)
 
 
-def _claim_silent(case: Case, blocking: bool) -> Claims:
-    hurries = _hurries(case)
-    for number in case.gone:
-        after = [device.id for device in case.report.devices
-                  if device.waiting_behind == number and is_waiting(device)]
-        if hurries:
-            yield from [] if blocking else [Doubt(
-                'no answer in time, and others are late: raise the time-out, or check power and '
-                'ID', number, f'let the program wait {LONG_WAIT_MS} ms for {number:03}: if it '
-                'answers then, its time-out was too short')]
-        elif bool(after) is blocking:
-            yield _claim_blocking(case, number, after) if after else _no_answer_claim(case, number)
+def _devices_after(case: Case, number: int) -> list[int]:
+    """Return the devices that get no turn in a group read, as this one says nothing."""
+    return [device.id for device in case.devices
+            if device.waiting_behind == number and is_waiting(device)]
 
 
 def _no_answer_claim(case: Case, number: int) -> Claim:
-    device = case.devices[number]
+    device = case.by_id[number]
     since = 'never heard' if device.last_heard_s is None \
         else f'silent for {longer_than(device.last_heard_s)}' if number in case.gone \
         else f'though it gave {device.totals.answers} before, and the program ended there'
     others = ', others answer' if any(
-        case.recent_counts(other, GONE_S).answers for other in case.report.devices) else ''
+        case.recent_counts(other, GONE_S).answers for other in case.devices) else ''
     what = 'cable and ID' if device.last_heard_s is not None else 'cable, ID and baud rate' if any(
-        other.totals.answers for other in case.report.devices) else f'cable and ID{_OF_THE_MASTER}'
+        other.totals.answers for other in case.devices) else f'cable and ID{_OF_THE_MASTER}'
     return Claim(f'no answer, {since}{others}: check its power, {what}',
                  {'requests without an answer': device.missed_in_a_row,
                   **_wait_figures(case, number)}, device=number)
-
-
-def _claim_blocking(case: Case, number: int, after: list[int]) -> Claim:
-    return Claim(f'silent, and the Sync Read ends there: {first_ids(after, 2)} after it are '
-                         'never read; check its power and cable, or leave it out',
-                 {'not served': all_ids(after), **_wait_figures(case, number)}, device=number)
 
 
 def _wait_figures(case: Case, number: int) -> dict[str, str]:
@@ -281,21 +281,21 @@ def _claim_at_the_end(case: Case) -> Claims:
         return
     yield from _claim_left_open(case)
     last, fatal = case.last_wait, fatal_wait(case)
-    if case.report.failed and fatal is None and last is not None and not last.is_spoilt:
+    if case.failed and fatal is None and last is not None and not last.is_spoilt:
         yield Doubt('the last question got no answer; whether the program ended for '
                     'that is unknown: it went on after earlier ones, or only searched',
                     last.device, f'ping {last.device:03} alone: if it does not answer, check its '
                     'power, plug and ID; if it does, the program ended for another reason')
     lost = [] if fatal is None else [fatal.device]
-    absent = [device.id for device in case.report.devices
+    absent = [device.id for device in case.devices
               if device.last_heard_s is None and device.missed_in_a_row
               and not device.window.spoilt and not _was_searched_for(case, device) and (
                   fatal is None or fatal.instruction == Instruction.PING or _is_used(device))]
-    if case.report.failed == words.RAISED or {*lost} & {*absent}:
+    if case.failed == words.RAISED or {*lost} & {*absent}:
         lost += absent                 # it asked all, then complained of those
     yield from (_no_answer_claim(case, number) for number in dict.fromkeys(lost)
-                if number in case.devices and number not in case.gone
-                and not _is_late(case, case.devices[number]))
+                if number in case.by_id and number not in case.gone
+                and not _is_late(case, case.by_id[number]))
 
 
 def _is_late(case: Case, device: DeviceReport) -> bool:
@@ -329,25 +329,25 @@ def _is_used(device: DeviceReport) -> bool:
 
 def _was_searched_for(case: Case, device: DeviceReport) -> bool:
     """Tell whether a program only pinged a device, and went on for long without it."""
-    pinged = max((stamp for cycle in case.report.cycles for stamp in cycle.stamps
+    pinged = max((stamp for cycle in case.cycles for stamp in cycle.stamps
                   if cycle.instruction == Instruction.PING and cycle.ids == (device.id,)),
                  default=0)
     return not _is_used(device) and any(
         sum(stamp > pinged for stamp in cycle.stamps) >= INCIDENTS_MIN
-        for cycle in case.report.cycles if cycle.instruction != Instruction.PING)
+        for cycle in case.cycles if cycle.instruction != Instruction.PING)
 
 
 def _claim_unacknowledged(case: Case) -> Claims:
     """Look for devices that were only written to, and never heard."""
-    failed, is_over = case.report.failed, case.report.is_over
+    failed, is_over = case.failed, case.report.is_over
     if is_over and not failed and not case.report.is_answered \
-            and any(one.acks_missing for one in case.report.devices) \
+            and any(one.acks_missing for one in case.devices) \
             and len(case.report.waits) < INCIDENTS_MIN:
         yield Doubt('writes are sent, and not one byte comes back: no power, another baud '
                     'rate, or Status Return Level below 2', step='let your program read one '
                     'register: if that is answered, all is well; else measure the supply, then '
                     'ping at other rates')
-    for device in case.report.devices if any(one.acks for one in case.report.devices) else ():
+    for device in case.devices if any(one.acks for one in case.devices) else ():
         if device.last_heard_s is None and device.acks_missing \
                 and not (device.id in case.gone and device.totals.data_missed) \
                 and not device.window.spoilt and not device.moved_to:
@@ -418,7 +418,7 @@ def _absences(case: Case, device: DeviceReport | None = None) -> list[Incident[e
 
 def _talks_since(case: Case, back: Incident[ev.SilentFor]) -> bool:
     """Tell whether data came from it since; one that never gave any shall not be held up."""
-    ages = _data_ages(case.devices[back.device]) if back.device in case.devices else []
+    ages = _data_ages(case.by_id[back.device]) if back.device in case.by_id else []
     return not ages or min(ages) * NS_PER_S < case.now - back.stamp
 
 
@@ -438,8 +438,8 @@ def _restart_proof(case: Case, back: Incident[ev.SilentFor]) -> str:
     after = [one for one in samples if one.stamp > back.stamp]
     if before and after and _tick_jumped(before[-1], after[0]):
         return 'Realtime Tick jumped back'
-    if _does_not_follow(after) and _span([one.position for one in before]) >= GOAL_MOVES_STEPS \
-            and not _does_not_follow(before) and not case.devices[back.device].alert:
+    if _does_not_follow(after) and span([one.position for one in before]) >= GOAL_MOVES_STEPS \
+            and not _does_not_follow(before) and not case.by_id[back.device].alert:
         return 'no longer follows its goal'
     return ''
 
@@ -454,7 +454,7 @@ def _tick_jumped(before: Sample, after: Sample) -> bool:
 
 # --- a joint and its goal ------------------------------------------------------------------------
 
-@Rule(each_device=True,
+@Rule(needs_registers={'Present Position'},
       symptoms={'joint at rest'})
 def torque_off(case: Case, device: DeviceReport) -> Found | None:
     """
@@ -466,9 +466,9 @@ def torque_off(case: Case, device: DeviceReport) -> Found | None:
     Do: switch the torque on; if it is on, the joint is blocked or its motor has no supply.
     """
     samples = _since_it_moved(_recent_samples(case, device.id))
-    place = case.values[device.id].get('Present Position')
-    if place is None or place.source != 'r' or place.age_s > STOPPED_MIN_S \
-            or device.alert or not _does_not_follow(samples):
+    place = case.values[device.id]['Present Position']
+    if place.source != 'r' or place.age_s > STOPPED_MIN_S or device.alert \
+            or not _does_not_follow(samples):
         return None                    # or its error says why
     torque, goal = map(case.values[device.id].get, ('Torque Enable', 'Goal Position'))
     if torque is not None and not torque.value.raw and (
@@ -490,9 +490,9 @@ def torque_off(case: Case, device: DeviceReport) -> Found | None:
     since = samples[1].stamp
     others = [[one.position for one in _recent_samples(case, other) if one.stamp >= since]
               for other in case.samples if other != device.id]
-    who = ', others do' if any(_span(places) >= GOAL_MOVES_STEPS for places in others) else ''
-    if not who and torque is None and case.report.has_sides and device.model.protocol == '2' \
-            and _span([one.goal for one in samples[1:]]) >= GOAL_FAR_STEPS:
+    who = ', others do' if any(span(places) >= GOAL_MOVES_STEPS for places in others) else ''
+    if not who and torque is None and case.has_sides and device.model.protocol == '2' \
+            and span([one.goal for one in samples[1:]]) >= GOAL_FAR_STEPS:
         who = ', nothing set its torque'
     if samples[-1].stamp - samples[0].stamp < STILL_MIN_S * NS_PER_S or not who:
         return None
@@ -501,9 +501,9 @@ def torque_off(case: Case, device: DeviceReport) -> Found | None:
                  rests_on=_MOTION)
 
 
-@Rule(onset_s=TURN_ONSET_S,
+@Rule(onset_s=TURN_ONSET_S, needs_registers={'Goal Velocity', 'Present Velocity'},
       symptoms={'joint at rest'})
-def wheel_stopped(case: Case) -> Claims:
+def wheel_stopped(case: Case, device: DeviceReport) -> Found | None:
     """
     A velocity is asked for, and it never turns.
 
@@ -511,31 +511,29 @@ def wheel_stopped(case: Case) -> Claims:
 
     Do: read Velocity Limit, Torque Enable and Operating Mode: a goal beyond the limit is refused.
     """
-    for device in case.report.devices:
-        values = case.values[device.id]
-        if 'Goal Velocity' in values and 'Present Velocity' in values and not device.alert:
-            yield from _claim_stopped(case, device, values)
-
-
-def _claim_stopped(case: Case, device: DeviceReport, values: dict[str, Observed]) -> Claims:
+    values = case.values[device.id]
     goal, now = values['Goal Velocity'], values['Present Velocity']
-    mode, torque, place = map(values.get, ('Operating Mode', 'Torque Enable', 'Goal Position'))
-    if goal.source != 'w' or now.source != 'r' or now.age_s > STOPPED_MIN_S \
-            or speed_of(goal) < SPEED_MIN or speed_of(now) > SPEED_AT_REST:
-        return
-    if mode.value.raw != VELOCITY_CONTROL if mode is not None else (
-            'Profile Velocity' not in device.model.by_name     # else it is that of a motion
-            or (place is not None and place.source == 'w')):
-        return
+    if device.alert or goal.source != 'w' or now.source != 'r' or now.age_s > STOPPED_MIN_S \
+            or speed_of(goal) < SPEED_MIN or speed_of(now) > SPEED_AT_REST \
+            or not _is_in_velocity_control(device, values):
+        return None
     if device.id in case.turned:
-        yield Doubt(f'velocity {goal.value.raw} is asked for, and it does not turn any more: '
-                    'blocked, or it holds something', device.id)
-        return
+        return Doubt(f'velocity {goal.value.raw} is asked for, and it does not turn any more: '
+                     'blocked, or it holds something')
     unread = [words for name, words in _DECIDES_TURNING.items() if name not in values]
-    remedy = 'its torque is off: write 1 to Torque Enable' if is_off(torque) else \
+    remedy = 'its torque is off: write 1 to Torque Enable' \
+        if is_off(values.get('Torque Enable')) else \
         f'read {", ".join(unread)}' if unread else 'check what blocks it, and its supply'
-    yield Claim(f'velocity {goal.value.raw} is asked for, and it does not turn: {remedy}',
-                device=device.id, rests_on=('Present Velocity', 'Goal Velocity'))
+    return Claim(f'velocity {goal.value.raw} is asked for, and it does not turn: {remedy}',
+                 rests_on=('Present Velocity', 'Goal Velocity'))
+
+
+def _is_in_velocity_control(device: DeviceReport, values: dict[str, Observed]) -> bool:
+    """Tell whether Goal Velocity makes it turn; with Profile Velocity it is that of a motion."""
+    mode, place = map(values.get, ('Operating Mode', 'Goal Position'))
+    if mode is not None:
+        return mode.value.raw == VELOCITY_CONTROL
+    return 'Profile Velocity' in device.model.by_name and (place is None or place.source != 'w')
 
 
 def _does_not_follow(samples: list[Sample]) -> bool:
@@ -543,14 +541,8 @@ def _does_not_follow(samples: list[Sample]) -> bool:
     samples = samples[1:]
     if len(samples) < 2 or samples[-1].stamp - samples[0].stamp < STOPPED_MIN_S * NS_PER_S:
         return False
-    return _span([one.goal for one in samples]) >= GOAL_MOVES_STEPS \
-        and 0 <= _span([one.position for one in samples]) <= STILL_MAX_STEPS
-
-
-def _span(places: list[float | None]) -> float:
-    """Return how far apart places are; -1 where none is known."""
-    known = [place for place in places if place is not None]
-    return max(known) - min(known) if known else -1.0
+    return span([one.goal for one in samples]) >= GOAL_MOVES_STEPS \
+        and 0 <= span([one.position for one in samples]) <= STILL_MAX_STEPS
 
 
 def _recent_samples(case: Case, number: int) -> list[Sample]:
@@ -582,8 +574,7 @@ def _is_ignored(samples: list[Sample], least: float, may_hold: bool) -> bool:
 
 # --- partly there --------------------------------------------------------------------------------
 
-@Rule(each_device=True,
-      symptoms={'answers to Pings only'},
+@Rule(symptoms={'answers to Pings only'},
       accounts_for={*SILENCE, 'absence', 'restart', 'no acknowledgements'})
 def ping_only(case: Case, device: DeviceReport) -> Found | None:
     """
@@ -593,10 +584,11 @@ def ping_only(case: Case, device: DeviceReport) -> Found | None:
 
     Do: write 2 to Status Return Level, 1 for reads alone.
     """
+    if not _is_ping_only(case, device):
+        return None
     return Claim('answers Pings only: set its Status Return Level to 2, or 1 for '
                  'reads; if it no longer answers a Ping, check its power and cable',
-                 {'missed': f'{device.window.missed} of {device.window.asked}'}) \
-        if _is_ping_only(case, device) else None
+                 {'missed': f'{device.window.missed} of {device.window.asked}'})
 
 
 def _is_ping_only(case: Case, device: DeviceReport) -> bool:
@@ -611,8 +603,7 @@ def _is_ping_only(case: Case, device: DeviceReport) -> bool:
         and asked.data_missed >= INCIDENTS_MIN
 
 
-@Rule(each_device=True,
-      symptoms={'missed answers'})
+@Rule(symptoms={'missed answers'})
 def missed_answers(case: Case, device: DeviceReport) -> Found | None:
     """
     More than 1 % of its answers missing.

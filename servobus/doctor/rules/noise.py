@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import lru_cache
+from itertools import takewhile
 import re
 
 from msg_defs.dxl1_instruction import DIALECTS
@@ -142,11 +143,11 @@ def _load_percent(case: Case) -> float:
 
 def likely_rate(noise: bytes, baud: int) -> int | None:
     """Return the Dynamixel rate at which headers look like these bytes; None if unsure."""
-    counts = {rate: noise.count(look) for rate, look in _headers_at_rates(baud).items()}
-    best = max(counts, key=lambda rate: (counts[rate], len(_headers_at_rates(baud)[rate])))
-    rivals = [rate for rate in counts if counts[rate] == counts[best]
-              and len(_headers_at_rates(baud)[rate]) == len(_headers_at_rates(baud)[best])]
-    return best if counts[best] >= RATE_MIN_HEADERS and len(rivals) == 1 else None
+    ranks = {rate: (noise.count(look), len(look))
+             for rate, look in _headers_at_rates(baud).items()}
+    best = max(ranks.values())
+    rates = [rate for rate, rank in ranks.items() if rank == best]
+    return rates[0] if best[0] >= RATE_MIN_HEADERS and len(rates) == 1 else None
 
 
 @lru_cache(maxsize=16)
@@ -160,14 +161,11 @@ def _headers_at_rates(baud: int) -> dict[int, bytes]:
 def _header_at(ratio: float) -> bytes:
     """Return the bytes that are the same for every ID after the header."""
     looks = [heard_at(HEADER + bytes([number, 4, 0]), ratio) for number in (1, 0x55, 0xFE)]
-    same = 0
-    while all(same < len(look) and look[same] == looks[0][same] for look in looks):
-        same += 1
-    return looks[0][:same]
+    same = takewhile(lambda column: len({*column}) == 1, zip(*looks, strict=False))
+    return bytes(column[0] for column in same)
 
 
 @Rule(subject='bus', level=Level.ERROR,
-      symptoms={'proof'},
       accounts_for={*TRAFFIC, 'no packets', 'two protocols'})
 def text(case: Case) -> Claims:
     """
@@ -177,7 +175,7 @@ def text(case: Case) -> Claims:
 
     Do: switch the board to pass-through; switch the login prompt off; stop ModemManager.
     """
-    noise, devices = case.report.noise, case.report.devices
+    noise, devices = case.report.noise, case.devices
     if not noise or not case.report.is_answered:
         return
     answers = any(device.window.answers for device in devices)
@@ -188,7 +186,7 @@ def text(case: Case) -> Claims:
     since = min(WINDOW_S, case.heard_s - BOOT_S)
     goes_on = since > 0 and case.increase_of('bytes', since) \
         - case.increase_of('packet_bytes', since) >= TEXT_MIN_BYTES
-    seen = f'text {"comes back" if case.report.has_sides else "is on the bus"} (`{first}`)'
+    seen = f'text {"comes back" if case.has_sides else "is on the bus"} (`{first}`)'
     if _MODEM.search(noise):
         yield Claim(f'{seen}, the commands of a modem: ModemManager or another program uses the '
                     'port; stop it')
@@ -198,7 +196,7 @@ def text(case: Case) -> Claims:
     elif goes_on and not answers:
         yield Claim(f'{seen}: the board runs firmware of its own and passes nothing on to the '
                     'servos; switch it to pass-through')
-    elif case.report.failed or answers:
+    elif case.failed or answers:
         yield Claim(f'{seen} while the board starts: wait 2 s after opening the port; if text '
                     'still comes then, switch the board to pass-through',
                     {}, Level.WARN)
@@ -236,7 +234,7 @@ def overrun(case: Case) -> Claims:
                     {'overruns': lost})
 
 
-@Rule(holds=False, each_device=True,
+@Rule(holds=False,
       symptoms={'changed rate'},
       accounts_for={*SILENCE, 'slow cycle', 'joint at rest'})
 def baud_moved(case: Case, device: DeviceReport) -> Found | None:
@@ -254,8 +252,7 @@ def baud_moved(case: Case, device: DeviceReport) -> Found | None:
                  'others and the master to it')
 
 
-@Rule(holds=False, each_device=True,
-      symptoms={'proof'},
+@Rule(holds=False,
       accounts_for={*SILENCE, 'silent bus', 'slow cycle'})
 def id_moved(case: Case, device: DeviceReport) -> Found | None:
     """
@@ -275,7 +272,7 @@ def _value_written(case: Case, device: DeviceReport, name: str) -> int:
     """Return what was written, where no model was known then and it says nothing since; or -1."""
     one = case.values[device.id].get(name)
     is_gone = device.id in case.gone or (
-        case.report.failed and device.missed_in_a_row >= INCIDENTS_MIN)
+        case.failed and device.missed_in_a_row >= INCIDENTS_MIN)
     if one is None or one.source != 'w' or not is_gone or device.model.number is not None \
             or (device.last_heard_s or 0.0) < one.age_s - AFTER_WRITE_S:
         return -1
@@ -293,7 +290,7 @@ def protocol_1(case: Case) -> Claims:
     """
     if case.count(ev.PROTOCOL_1) <= 1:
         return
-    answered = [device for device in case.report.devices if device.window.answers]
+    answered = [device for device in case.devices if device.window.answers]
     of_2 = [device.id for device in answered if device.protocol == words.PROTOCOL_2]
     others = [device for device in answered if device.protocol != words.PROTOCOL_2]
     if not of_2 and case.report.protocol not in ('', words.PROTOCOL_2):
@@ -368,20 +365,20 @@ def echo(case: Case) -> Claims:
 
     Do: switch the adapter's echo off.
     """
-    if case.report.has_sides:          # what it says twice it says itself
+    if case.has_sides:          # what it says twice it says itself
         least = ECHO_MIN_INSTRUCTIONS
         heard_back, asked = case.increase_of('echoes'), case.increase_of('instructions')
-        if case.report.failed:         # it may have ended on the first
+        if case.failed:         # it may have ended on the first
             least, heard_back, asked = 1, case.report.kinds.get(ev.ECHO, 0), \
                 case.report.counters['Instructions']
         if heard_back >= least and heard_back > ECHO_MIN_SHARE * asked:
             yield Claim('the master receives what it sends: its adapter echoes; switch the '
                         'echo off, or let the program skip it', {'echoes': heard_back},
-                        None if any(one.window.answers for one in case.report.devices)
+                        None if any(one.window.answers for one in case.devices)
                         else Level.ERROR)
         return
     again = [one for one in case.incidents(ev.REPEATED) if one.detail.us < ECHO_MAX_US]
-    answered = sum(cycle.asked > 0 for cycle in case.report.cycles)
+    answered = sum(cycle.asked > 0 for cycle in case.cycles)
     if answered and len(again) >= ECHO_MIN_INSTRUCTIONS \
             and 2 * len(again) > case.count(ev.REPEATED):
         yield Claim('every instruction is heard twice: the adapter echoes what its master '
@@ -391,7 +388,7 @@ def echo(case: Case) -> Claims:
 
 # --- several senders -----------------------------------------------------------------------------
 
-@Rule(level=Level.ERROR, each_device=True,
+@Rule(level=Level.ERROR,
       symptoms={'second answers'},
       accounts_for={*DAMAGE, 'damaged first bytes', 'late answers', 'restart', 'unread bytes'})
 def duplicate_id(case: Case, device: DeviceReport) -> Found | None:
@@ -405,7 +402,7 @@ def duplicate_id(case: Case, device: DeviceReport) -> Found | None:
         twice = case.count(ev.ANSWERED_AGAIN, device)
     window = device.window
     models = window.model_changes >= 2 and window.spoilt >= INCIDENTS_MIN
-    at_end = case.report.failed == words.RAISED and twice == case.count(ev.SECOND_ANSWER)
+    at_end = case.failed == words.RAISED and twice == case.count(ev.SECOND_ANSWER)
     others = case.count(ev.UNASKED, device) + case.count(ev.LATE, device)
     if _says_too_much(case, device):
         return Claim('more bytes come than its answers have, not so from others: two '
@@ -428,9 +425,12 @@ def _says_too_much(case: Case, device: DeviceReport) -> bool:
     overlong, asked = device.window.overlong_replies, device.window.asked
     if overlong < max(OVERLONG_MIN_ANSWERS, OVERLONG_MIN_SHARE * asked) or case.count(ev.LATE):
         return False
-    others = [one.window for one in case.report.devices
-              if one is not device and one.window.answers >= overlong]
-    return bool(others) and all(10 * one.overlong_replies <= overlong for one in others)
+    others = _others_that_answer(case, device, overlong)
+    return bool(others) and all(10 * one.window.overlong_replies <= overlong for one in others)
+
+
+def _others_that_answer(case: Case, device: DeviceReport, times: int) -> list[DeviceReport]:
+    return [one for one in case.devices if one is not device and one.window.answers >= times]
 
 
 def _alone_answers_again(case: Case, device: DeviceReport) -> bool:
@@ -444,8 +444,7 @@ def _alone_answers_again(case: Case, device: DeviceReport) -> bool:
     again = case.count(ev.ANSWERED_AGAIN, device)
     if not again or case.count(ev.PROTOCOL_1, device):
         return False
-    others = [one for one in case.report.devices
-              if one is not device and one.window.answers >= again]
+    others = _others_that_answer(case, device, again)
     return len(others) > 1 and again == case.count(ev.ANSWERED_AGAIN) \
         and again >= AGAIN_MIN_SHARE * case.damage and not any(one.window.spoilt for one in others)
 
@@ -481,37 +480,32 @@ def turnaround(case: Case) -> Claims:
 
     Do: raise Return Delay Time by 2 to 4 us.
     """
-    touched = [device for device in case.report.devices if _first_bytes(device)]
-    hit = [device for device in touched if _first_bytes(device) > INCIDENTS_MIN
-           and _first_bytes(device) > TURNAROUND_MIN_SHARE * device.window.answers
-           and _first_bytes(device) > FIRST_BYTE_BY_CHANCE * device.window.spoilt]
-    total = sum(_first_bytes(one) for one in touched)
-    lost = sum(device.window.first_byte_lost for device in touched)
-    if (total - lost <= FIRST_BYTE_BY_CHANCE * case.damage and lost <= case.damage) \
+    # How many answers of each were whole but for their first byte.
+    first = {one.id: one.window.repaired + one.window.first_byte_lost for one in case.devices
+             if one.window.repaired or one.window.first_byte_lost}
+    if not first:
+        return
+    hit = [device for device in case.devices if first.get(device.id, 0) > max(
+        INCIDENTS_MIN, TURNAROUND_MIN_SHARE * device.window.answers,
+        FIRST_BYTE_BY_CHANCE * device.window.spoilt)]
+    total = sum(first.values())
+    lost = sum(case.by_id[number].window.first_byte_lost for number in first)
+    if not hit or (total - lost <= FIRST_BYTE_BY_CHANCE * case.damage and lost <= case.damage) \
             or is_overlaid(case):
         return
-    if hit and len(touched) > 2 and max(map(_first_bytes, touched)) < ONE_DEVICE_MIN_SHARE * total:
-        hit = touched
-        first = sum(_first_bytes(device) for device in hit)
-        stray = case.increase_of('glitches')
-        answers = sum(_answers_heard(device) for device in hit)
-        yield Claim(f'first byte of {share(first, answers)} of the answers damaged, '
-                    f'{len(hit)} devices: the line switches too late; raise Return Delay '
+    if len(first) > 2 and max(first.values()) < ONE_DEVICE_MIN_SHARE * total:
+        answers = sum(_answers_heard(case.by_id[number]) for number in first)
+        yield Claim(f'first byte of {share(total, answers)} of the answers damaged, '
+                    f'{len(first)} devices: the line switches too late; raise Return Delay '
                     'Time or correct the driver enable',
-                    {'answers': first,
-                     'packets with a stray byte': stray,
-                     'devices': all_ids([one.id for one in hit])})
+                    {'answers': total,
+                     'packets with a stray byte': case.increase_of('glitches'),
+                     'devices': all_ids(first)})
         return
     for device in hit:
-        first = _first_bytes(device)
-        yield Claim(f'first byte of {share(first, _answers_heard(device))} of its answers '
-                    'damaged: it answers before the line switches; raise its Return Delay Time by '
-                    'a step or two', {'answers': first}, device=device.id)
-
-
-def _first_bytes(device: DeviceReport) -> int:
-    """Return how many answers were whole but for their first byte."""
-    return device.window.repaired + device.window.first_byte_lost
+        yield Claim(f'first byte of {share(first[device.id], _answers_heard(device))} of its '
+                    'answers damaged: it answers before the line switches; raise its Return Delay '
+                    'Time by a step or two', {'answers': first[device.id]}, device=device.id)
 
 
 def _answers_heard(device: DeviceReport) -> int:
@@ -545,25 +539,31 @@ def source_lost(case: Case) -> Iterator[Doubt]:
 
 def _noise_claims(case: Case) -> Claims:
     packets = case.packets
-    if case.damage < NOISE_MIN_PACKETS or case.damage < NOISE_MIN_SHARE * packets \
+    if case.damage < max(NOISE_MIN_PACKETS, NOISE_MIN_SHARE * packets) \
             or case.damage_s < DAMAGE_ONSET_S:
         return
-    hit = [device.id for device in case.report.devices if device.window.spoilt]
+    hit = [device.id for device in case.devices if device.window.spoilt]
     asked = _asked_damaged(case)
-    if asked < BOTH_WAYS_MIN_SHARE * case.damage and _most_hit(case) is not None:
-        return
     both_ways = asked >= BOTH_WAYS_MIN_SHARE * case.damage
+    if not both_ways and _most_hit(case) is not None:
+        return
     if is_collision(case) if both_ways else may_overlap(case):
         yield Doubt('packets overlap: two programs, two devices with one ID, or a master '
                     'that does not wait for answers', step=f'{STOP_OTHERS}: if packets still '
                     'overlap, ping each ID while its servo is unplugged: what answers is another')
         return
-    way = 'in both directions' if both_ways else 'in answers'
+    way = 'in instructions' if asked == case.damage \
+        else 'in both directions' if both_ways else 'in answers'
     share_of = about(case.damage, packets + case.damage)
     picture = case.damage_picture()
-    if not (picture or case.report.has_sides) and case.damage < NOISE_SURE_MIN_SHARE * packets:
-        yield Doubt(f'{share_of} of the packets damaged, in no clear way: interference, or a '
-                    'second program', step=f'{STOP_OTHERS}: what is damaged then is interference')
+    # Interference hits answers too; a second program's instructions meet those of the first.
+    is_one_way = asked == case.damage and not case.spoilt and \
+        2 * sum(device.window.answers for device in case.devices) >= packets
+    if not case.has_sides and (
+            is_one_way or (not picture and case.damage < NOISE_SURE_MIN_SHARE * packets)):
+        how = 'instructions only' if is_one_way else 'in no clear way'
+        yield Doubt(f'{share_of} of the packets damaged, {how}: interference, or a second program',
+                    step=f'{STOP_OTHERS}: what is damaged then is interference')
         return
     yield Claim(f'{share_of} of the packets damaged, {way}, of '
                 'several devices: check termination, ground, shielding and motor cables',
@@ -580,11 +580,8 @@ def _asked_damaged(case: Case) -> int:
 
 def _most_hit(case: Case) -> DeviceReport | None:
     """Return the device that has most of all spoilt answers, if there is one."""
-    worst = max(case.report.devices, key=lambda device: device.window.spoilt, default=None)
-    if worst is None or worst.window.spoilt < INCIDENTS_MIN \
-            or worst.window.spoilt < ONE_DEVICE_MIN_SHARE * case.spoilt:
-        return None
-    return worst
+    least = max(INCIDENTS_MIN, ONE_DEVICE_MIN_SHARE * case.spoilt)
+    return next((device for device in case.devices if device.window.spoilt >= least), None)
 
 
 @Rule(onset_s=DAMAGE_ONSET_S,
@@ -598,9 +595,9 @@ def damaged_answers(case: Case) -> Claims:
     """
     worst = _most_hit(case)
     last = case.last_wait
-    for device in case.report.devices if case.report.failed and worst is None else ():
+    for device in case.devices if case.failed and worst is None else ():
         if not device.missed_in_a_row or not device.window.spoilt or (
-                case.report.failed != words.RAISED and (last is None or device.id != last.device)):
+                case.failed != words.RAISED and (last is None or device.id != last.device)):
             continue
         yield Claim('its last answer was damaged, so the program ended: a bad cable, '
                     'or a second device with its ID: it answers a Ping while this one is '
@@ -616,7 +613,7 @@ def damaged_answers(case: Case) -> Claims:
         return
     window = worst.window
     others = ', others whole' if any(
-        device.window.answers for device in case.report.devices if device is not worst) else ''
+        device.window.answers for device in case.devices if device is not worst) else ''
     yield Claim(f'{about(window.spoilt, window.asked)} of its answers damaged{others}: '
                 'a bad cable or a second device with its ID; unplug it and ping its ID',
                 {**case.damage_picture(worst),
@@ -634,7 +631,7 @@ def not_sent(case: Case) -> Claims:
     Do: switch flow control off; do not flush output after a write.
     """
     count = case.count(ev.NOT_SENT)
-    if count >= (1 if case.report.failed else INCIDENTS_MIN):
+    if count >= (1 if case.failed else INCIDENTS_MIN):
         asked = sorted({one.device for one in case.incidents(ev.NOT_SENT)})
         yield Claim(f'{count} instructions never left the adapter: in the program, switch '
                     'flow control off and do not flush output after a write; else plug the '
@@ -651,13 +648,12 @@ def stray_bytes(case: Case) -> Claims:
     Do: add bias resistors.
     """
     stray = case.increase_of('glitches')
-    packets = case.packets
-    if stray >= STRAY_MIN_PACKETS and stray > STRAY_MIN_SHARE * packets:
-        yield Claim(f'one or two stray bytes before {share(stray, packets)} of the packets: '
+    if stray >= STRAY_MIN_PACKETS and stray > STRAY_MIN_SHARE * case.packets:
+        yield Claim(f'one or two stray bytes before {share(stray, case.packets)} of the packets: '
                     'driver enable switches late or the line floats; add bias resistors',
                     {'packets': stray})
     last, spoilt = case.last_wait, sum(one.is_spoilt for one in case.report.waits)
-    if case.report.failed == words.RAISED and last is not None and last.is_spoilt and not last.us \
+    if case.failed == words.RAISED and last is not None and last.is_spoilt and not last.us \
             and spoilt <= case.report.kinds.get(ev.GLITCH, 0):     # it left the end of no other
         yield Claim('a stray byte before the answer on which the program ended: driver '
                     'enable switches late or the line floats; add bias resistors',

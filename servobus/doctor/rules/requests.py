@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from itertools import pairwise
+from operator import itemgetter
 
 from msg_defs.dxl1_instruction import DYNAMIXEL_1
 from msg_defs.dxl1_instruction import FEETECH
@@ -30,9 +32,11 @@ from servobus.doctor.case import Names
 from servobus.doctor.facts import ACCESS_ERROR
 from servobus.doctor.facts import fatal_wait
 from servobus.doctor.facts import INSTRUCTION_ERROR
+from servobus.doctor.facts import is_of_one_turn
 from servobus.doctor.facts import LENGTH_ERROR
 from servobus.doctor.facts import LIMIT_ERROR
 from servobus.doctor.facts import RANGE_ERROR
+from servobus.doctor.facts import raw_value
 from servobus.doctor.facts import SINGLE_WRITES
 from servobus.doctor.rule import ANSWER
 from servobus.doctor.rule import Claim
@@ -61,14 +65,13 @@ POLLED_MIN_S = 3.0                 # by then each is written that will be, and m
 ACKS_MISSING_MIN = 3               # as the decoder learns that writes are not acknowledged
 ACKS_ONSET_S = 1.0                 # acknowledgements that get lost come again by then
 ANSWERS_OTHERWISE_S = 2.0          # an answer to something else, so lately: it is there
-STOPPED_MIN_S = 1.2
+STOPPED_MIN_S = 1.2                # two reports at the usual 2 Hz, and what chunks blur
 STOPPED_WARN_S = 10.0              # a shorter pause may be meant
 WORKED_MIN_S = 2.5                 # a program that ran so long has stopped; a command is done
 TWIN_MIN_ANSWERS = 15              # the shares of fewer differ by chance
 TWIN_MIN_FACTOR = 1.5              # two answer twice as often as one
 NO_IDS = (0xFD, 0xFF)
 _NO_ID = ', which no device can have (0 to 252): correct the ID in its program'
-_NO_NAMES = 'so registers have no names and some causes cannot be found'
 SENT_MIN_BYTES = 30                # three packets
 SCAN_MIN_PINGS = 15                # broadcast Pings in 10 s: each needs 0.8 s
 SCAN_MIN_SHARE = 0.7               # share of the instructions
@@ -102,36 +105,36 @@ def unread_answers(case: Case) -> Claims:
     """
     if not case.count(ev.STALE):
         return
-    words = 'each time the program asks, bytes of earlier answers still wait to be read'
-    lost = sum(device.window.missed for device in case.report.devices)
+    seen = 'each time the program asks, bytes of earlier answers still wait to be read'
+    harm = case.damage + sum(device.window.missed for device in case.devices)
     twin = _answers_twice(case)
-    if twin is not None:
-        yield Claim(f'{words}, and {twin:03} says twice as much as others: two devices have this '
-                    'ID; unplug one and change the ID of the other',
-                    {'missed or damaged': case.damage + lost}, covers=tuple(case.devices))
-    elif case.damage + lost >= INCIDENTS_MIN:
-        yield Claim(f'{words}: it reads too few, or takes old answers for new ones; let it read '
-                    'whole answers, and clear its input before it asks',
-                    {'missed or damaged': case.damage + lost}, covers=tuple(case.devices))
-    else:
-        yield Doubt(f'{words}: if it takes those for the new ones, let it clear its input before '
+    if twin is None and harm < INCIDENTS_MIN:
+        yield Doubt(f'{seen}: if it takes those for the new ones, let it clear its input before '
                     'it asks')
+        return
+    cause = ': it reads too few, or takes old answers for new ones; let it read whole answers, ' \
+        'and clear its input before it asks' if twin is None else \
+        f', and {twin:03} says twice as much as others: two devices have this ID; unplug one ' \
+        'and change the ID of the other'
+    yield Claim(f'{seen}{cause}', {'missed or damaged': harm}, covers=tuple(case.by_id))
 
 
 def _answers_twice(case: Case) -> int | None:
     """Return the ID of which whole answers in the noise are too many for the questions to it."""
     seen = Counter(one.device for one in case.incidents(ev.PROTOCOL_1))
-    shares = []
-    for number, times in seen.items():
-        asked = sum(cycle.asked for cycle in case.report.cycles if cycle.ids == (number,))
-        shares.append((times / asked if asked else 0.0, number))
-    shares.sort()
-    return shares[-1][1] if len(shares) > 1 and seen[shares[-1][1]] >= TWIN_MIN_ANSWERS \
-        and shares[-1][0] > TWIN_MIN_FACTOR * shares[-2][0] > 0 else None
+    asked: Counter[int] = Counter()
+    for cycle in case.cycles:
+        if len(cycle.ids) == 1:
+            asked[cycle.ids[0]] += cycle.asked
+    shares = sorted((times / asked[number], number) for number, times in seen.items()
+                    if asked[number])
+    if len(shares) < 2:
+        return None
+    (less, _), (most, number) = shares[-2:]
+    return number if seen[number] >= TWIN_MIN_ANSWERS and most > TWIN_MIN_FACTOR * less else None
 
 
 @Rule(subject='bus', level=Level.ERROR,
-      symptoms={'proof'},
       accounts_for={*SILENCE, 'silent bus', 'slow cycle'})
 def rate_refused(case: Case) -> Claims:
     """
@@ -139,14 +142,13 @@ def rate_refused(case: Case) -> Claims:
 
     Do: leave that rate out, or use an adapter that has it.
     """
-    if case.report.failed == RATE_REFUSED:
+    if case.failed == RATE_REFUSED:
         yield Claim('the driver of the adapter refuses the rate that the program sets after '
                     f'{case.report.baud} Bd; nothing was asked at it: leave it out, or use '
                     'another adapter', is_certain=True)
 
 
 @Rule(subject='bus', level=Level.ERROR,
-      symptoms={'proof'},
       accounts_for={*SILENCE, *DAMAGE, 'silent bus', 'late answers', 'no acknowledgements',
                     'echo', 'unread bytes', 'wrong length', 'slow cycle'})
 def line_mode(case: Case) -> Claims:
@@ -159,8 +161,8 @@ def line_mode(case: Case) -> Claims:
     """
     if not case.report.is_line_mode:
         return
-    lost = sum(device.totals.missed for device in case.report.devices)
-    if lost + case.damage >= (1 if case.report.failed else INCIDENTS_MIN):
+    lost = sum(device.totals.missed for device in case.devices)
+    if lost + case.damage >= (1 if case.failed else INCIDENTS_MIN):
         yield Claim('the port is in line mode (ICANON): its driver holds the answers until a byte '
                     'is an end of line; let the program set it to raw (cfmakeraw, tty.setraw), or '
                     'call `stty raw -echo` before',
@@ -168,7 +170,6 @@ def line_mode(case: Case) -> Claims:
 
 
 @Rule(subject='bus', level=Level.ERROR,
-      symptoms={'proof'},
       accounts_for={*SILENCE, *DAMAGE, 'no packets', 'silent bus', 'slow cycle'})
 def wrong_packets(case: Case) -> Claims:
     """
@@ -200,18 +201,17 @@ def wrong_packets(case: Case) -> Claims:
                     f'servo takes: {what}', {'bytes': sent})
 
 
-@Rule(subject='bus',
-      symptoms={'proof'})
+@Rule(subject='bus')
 def impossible_id(case: Case) -> Claims:
     """
     Asks ID 255, or 253 in Protocol 2.0; reads from 254.
 
     Do: correct the ID; use Sync Read.
     """
-    for cycle in case.report.cycles:
+    for cycle in case.cycles:
         number = next(iter(cycle.ids), None)
         reads_all = number == BROADCAST and cycle.instruction == Instruction.READ
-        if not reads_all and (number not in NO_IDS or number in case.devices):
+        if not reads_all and (number not in NO_IDS or number in case.by_id):
             continue
         asked = case.times_asked(cycle)
         if asked >= INCIDENTS_MIN:
@@ -221,8 +221,7 @@ def impossible_id(case: Case) -> Claims:
             return
 
 
-@Rule(subject='bus',
-      symptoms={'proof'})
+@Rule(subject='bus')
 def unstuffed(case: Case) -> Claims:
     """
     `FF FF FD` in the data without the extra `FD`.
@@ -241,7 +240,6 @@ def unstuffed(case: Case) -> Claims:
 # --- what devices refuse -------------------------------------------------------------------------
 
 @Rule(needs_incident=(ev.REFUSED,),
-      symptoms={'proof'},
       accounts_for={'refused access'})
 def eeprom_locked(case: Case, device: DeviceReport) -> Found | None:
     """
@@ -249,23 +247,22 @@ def eeprom_locked(case: Case, device: DeviceReport) -> Found | None:
 
     Do: write Torque Enable 0 first.
     """
-    torque = case.values[device.id].get('Torque Enable')
+    torque = raw_value(case, device, 'Torque Enable')
     # Where it is on, that explains one.
     least = _least_refusals(case, device, INCIDENTS_MIN) if torque is None else 1
-    for (instruction, address, error), count in _refusals_of(case, device).items():
-        if count >= least and instruction in SINGLE_WRITES and _is_locked(device, address, error) \
-                and (torque is None or torque.value.raw):
-            name = device.model.by_address[address].name
-            times = f'{count} times' if count > 1 else 'once'
-            return Claim(f'write to {name} ({address}) refused {times}: EEPROM '
-                         'cannot be written while the torque is on; switch it off first',
-                         {'refused': count})
-    return None
+    address, _, count = _most_refused(case, device, lambda one: (
+        one.instruction in SINGLE_WRITES and _is_locked(device, one)))
+    if count < least or torque == 0:
+        return None
+    times = f'{count} times' if count > 1 else 'once'
+    return Claim(f'write to {device.model.by_address[address].name} ({address}) refused {times}: '
+                 'EEPROM cannot be written while the torque is on; switch it off first',
+                 {'refused': count})
 
 
-def _is_locked(device: DeviceReport, address: int, error: int) -> bool:
-    field = device.model.by_address.get(address)
-    return error == ACCESS_ERROR and field is not None and field.memory == 'eeprom' \
+def _is_locked(device: DeviceReport, one: ev.Refusal) -> bool:
+    field = device.model.by_address.get(one.address)
+    return one.error == ACCESS_ERROR and field is not None and field.memory == 'eeprom' \
         and 'w' in field.access
 
 
@@ -277,15 +274,13 @@ def wrong_address(case: Case, device: DeviceReport) -> Found | None:
 
     Do: use the control table of this model.
     """
-    found = Counter(one.detail[1:] for one in case.incidents(ev.REFUSED, device)
-                    if one.detail.error in (ACCESS_ERROR, LENGTH_ERROR, RANGE_ERROR)
-                    and not _is_locked(device, *one.detail[1:]))
-    for (address, error), count in found.most_common(1):
-        if count >= _least_refusals(case, device, INCIDENTS_MIN):
-            return Claim(f'address {address} refused {count} times '
-                         f'({error_text(error)}): {_what_is_there(device, address, error)}',
-                         {'refused': count})
-    return None
+    address, error, count = _most_refused(case, device, lambda one: (
+        one.error in (ACCESS_ERROR, LENGTH_ERROR, RANGE_ERROR) and not _is_locked(device, one)))
+    if count < _least_refusals(case, device, INCIDENTS_MIN):
+        return None
+    return Claim(f'address {address} refused {count} times '
+                 f'({error_text(error)}): {_what_is_there(device, address, error)}',
+                 {'refused': count})
 
 
 def _what_is_there(device: DeviceReport, address: int, error: int) -> str:
@@ -299,8 +294,7 @@ def _what_is_there(device: DeviceReport, address: int, error: int) -> str:
     return f'{field.name} ({field.access}, {field.size} bytes) does not allow this access'
 
 
-@Rule(each_device=True,
-      symptoms={'refused value'},
+@Rule(symptoms={'refused value'},
       accounts_for={'refused access', 'joint at rest'})
 def goal_limits(case: Case, device: DeviceReport) -> Found | None:
     """
@@ -311,8 +305,7 @@ def goal_limits(case: Case, device: DeviceReport) -> Found | None:
 
     Do: limit the goals, or set wider limits.
     """
-    refusal = _value_refused(case, device) if ev.REFUSED in case.incidents_by_kind else None
-    if refusal is not None:
+    if ev.REFUSED in case.incidents_by_kind and (refusal := _value_refused(case, device)):
         return refusal
     values = case.values[device.id]
     for name in _RATES:
@@ -323,16 +316,14 @@ def goal_limits(case: Case, device: DeviceReport) -> Found | None:
 
 
 def _value_refused(case: Case, device: DeviceReport) -> Found | None:
-    found = Counter(one.detail.address for one in case.incidents(ev.REFUSED, device)
-                    if one.detail.error == LIMIT_ERROR and one.detail.instruction in SINGLE_WRITES)
-    for address, count in found.most_common(1):
-        field = device.model.by_address.get(address)
-        if count >= _least_refusals(case, device, GOALS_BEYOND_MIN):
-            name = field.name if field else f'address {address}'
-            return Claim(f'value for {name} refused, beyond its limits: keep goals '
-                         'within these, or set wider ones (as Max Position Limit)',
-                         {'refused': count})
-    return None
+    address, _, count = _most_refused(case, device, lambda one: (
+        one.error == LIMIT_ERROR and one.instruction in SINGLE_WRITES))
+    if count < _least_refusals(case, device, GOALS_BEYOND_MIN):
+        return None
+    field = device.model.by_address.get(address)
+    return Claim(f'value for {field.name if field else f"address {address}"} refused, beyond its '
+                 'limits: keep goals within these, or set wider ones (as Max Position Limit)',
+                 {'refused': count})
 
 
 def _rate_beyond(name: str, values: dict[str, Observed]) -> Found | None:
@@ -371,7 +362,7 @@ def _position_beyond(case: Case, device: DeviceReport) -> Found | None:
         if low < high and (is_feetech or (has_mode and high - low < TURN_STEPS - 1)):
             return _goals_held_back(case, device, low, high)
     if device.model.protocol == '1' or (is_feetech and _MIN_POSITION in values) \
-            or round(TURN_STEPS * (goal.field.scale or 0), 2) != 6.28:
+            or not is_of_one_turn(goal.field):
         return None                            # Feetech: both are 0 where it has none
     return _goals_beyond_a_turn(case, device, goal.field, has_mode)
 
@@ -429,31 +420,33 @@ def refused(case: Case, device: DeviceReport) -> Found | None:
 
     Do: set its model in `devices`.
     """
-    if device.model.number is not None:
+    address, error, count = _most_refused(case, device, lambda one: one.address >= 0)
+    if count < INCIDENTS_MIN or device.model.number is not None:
         return None
-    for (instruction, address, error), count in _refusals_of(case, device).most_common(1):
-        if count >= INCIDENTS_MIN and address >= 0:
-            return Claim(f'refuses {name_of(instruction)} at {address} '
-                         f'({error_text(error)}): set its model in {case.names.devices} to learn '
-                         'which register that is', {'refused': count})
-    return None
+    last = case.incidents(ev.REFUSED, device)[-1].detail
+    return Claim(f'refuses {name_of(last.instruction)} at {address} '
+                 f'({error_text(error)}): set its model in {case.names.devices} to learn '
+                 'which register that is', {'refused': count})
 
 
-def _refusals_of(case: Case, device: DeviceReport) -> Counter[ev.Refusal]:
-    """Return what it refused in the window."""
-    return Counter(one.detail for one in case.incidents(ev.REFUSED, device))
+def _most_refused(case: Case, device: DeviceReport,
+                  is_meant: Callable[[ev.Refusal], bool]) -> tuple[int, int, int]:
+    """Return the address that it refused most, with which error, and how often."""
+    found = Counter(one.detail[1:] for one in case.incidents(ev.REFUSED, device)
+                    if is_meant(one.detail))
+    return max(((*what, count) for what, count in found.items()), key=itemgetter(2),
+               default=(-1, 0, 0))
 
 
 def _least_refusals(case: Case, device: DeviceReport, few: int) -> int:
     """Return how many refusals say something: one on which a program ended does."""
     found = case.incidents(ev.REFUSED, device)
-    return 1 if case.report.failed and found and found[-1].stamp >= case.report.asked else few
+    return 1 if case.failed and found and found[-1].stamp >= case.report.asked else few
 
 
 # --- how it goes on ------------------------------------------------------------------------------
 
-@Rule(subject='bus', holds=False,
-      symptoms={'proof'})
+@Rule(subject='bus', holds=False)
 def master_stopped(case: Case) -> Claims:
     """
     No more instructions after 2.5 s of them or more.
@@ -480,7 +473,6 @@ def master_stopped(case: Case) -> Claims:
 
 
 @Rule(subject='bus', level=Level.OK, holds=False,
-      symptoms={'proof'},
       accounts_for={'damaged packets', 'damaged answers', 'stray bytes', 'damaged first bytes',
                     'uneven rhythm'})
 def scan(case: Case) -> Claims:
@@ -490,7 +482,7 @@ def scan(case: Case) -> Claims:
     Do: wait 0.8 s after a broadcast Ping.
     """
     pings = sum(map(case.times_asked, [
-        cycle for cycle in case.report.cycles
+        cycle for cycle in case.cycles
         if cycle.instruction == Instruction.PING and cycle.ids == (BROADCAST,)]))
     collide = case.damage >= INCIDENTS_MIN
     if pings >= SCAN_MIN_PINGS or (collide and pings >= INCIDENTS_MIN
@@ -502,12 +494,11 @@ def scan(case: Case) -> Claims:
                     Level.WARN if collide else Level.OK)
     elif case.report.scanned:
         yield Claim(f'a scan: {len(case.report.scanned)} IDs were pinged and do not answer, '
-                    f'{len(case.report.devices)} devices are known',
+                    f'{len(case.devices)} devices are known',
                     {'without an answer': first_ids(case.report.scanned)}, stands_alone=True)
 
 
-@Rule(subject='bus', level=Level.OK,
-      symptoms={'proof'})
+@Rule(subject='bus', level=Level.OK)
 def models(case: Case) -> Claims:
     """
     Devices of unknown models, as `cannot tell.models`.
@@ -515,7 +506,7 @@ def models(case: Case) -> Claims:
     Do: set `devices`, or send Ping.
     """
     found: dict[str, list[int]] = {}
-    for device in case.report.devices:
+    for device in case.devices:
         if device.model.number is None and device.last_heard_s is not None:
             found.setdefault(_what_is_unknown(device, case.names), []).append(device.id)
     if found and case.heard_s >= POLLED_MIN_S:
@@ -525,39 +516,24 @@ def models(case: Case) -> Claims:
 def _what_is_unknown(device: DeviceReport, names: Names) -> str:
     if device.model_number is not None:
         return f'model {device.model_number} has no model file: add one to {names.folders}'
-    return (f'model not known, {_registers(device, _NO_NAMES)}; add ID:MODEL to {names.devices}, '
-            'or let your program ping the servos')
-
-
-def _registers(device: DeviceReport, none: str) -> str:
     model = device.model
-    if model is UNKNOWN:
-        return none
-    shared = f'that {model.name} share' if ' and ' in model.name \
-        else f'as in {model.name}'
-    return f'registers {shared}, by what the program uses'
+    registers = 'so registers have no names and some causes cannot be found' \
+        if model is UNKNOWN else f'registers that {model.name} share, by what the program uses' \
+        if ' and ' in model.name else f'registers as in {model.name}, by what the program uses'
+    return f'model not known, {registers}; add ID:MODEL to {names.devices}, or let your ' \
+        'program ping the servos'
 
 
 def with_models_named(report: BusReport, names: Names) -> BusReport:
     """Return a report whose messages say which models are not known, where all else is well."""
     return report._replace(
         message=f'{report.message}; not all models known: set {names.devices}',
-        devices=tuple(one._replace(message=f'{one.message}; {_remedy(one, names)}')
+        devices=tuple(one._replace(message=f'{one.message}; {_what_is_unknown(one, names)}')
                       if one.model.number is None and one.state == CONNECTED
                       and one.level is Level.OK else one for one in report.devices))
 
 
-def _remedy(device: DeviceReport, names: Names) -> str:
-    if device.model_number is not None:
-        return f'no model file, so its registers have no names: add one to {names.folders}'
-    registers = _registers(device, 'so its registers have no names')
-    return (f"model unknown, {registers}: add '{device.id}:MODEL' to {names.devices}, or let the "
-            'master read Model Number')
-
-
-@Rule(each_device=True,
-      symptoms={'proof'},
-      accounts_for={'joint at rest'})
+@Rule(accounts_for={'joint at rest'})
 def eeprom_wear(case: Case, device: DeviceReport) -> Found | None:
     """
     Thirty EEPROM writes in ten seconds.
@@ -573,7 +549,7 @@ def eeprom_wear(case: Case, device: DeviceReport) -> Found | None:
                  {'writes in 10 s': count})
 
 
-@Rule(level=Level.OK, onset_s=ACKS_ONSET_S, holds=False, each_device=True,
+@Rule(level=Level.OK, onset_s=ACKS_ONSET_S, holds=False,
       symptoms={'no acknowledgements'},
       accounts_for={'missed answers', 'silent device'})
 def no_acks(case: Case, device: DeviceReport) -> Found | None:
@@ -602,7 +578,7 @@ def no_acks(case: Case, device: DeviceReport) -> Found | None:
                  rests_on=() if has_ended or unanswered else (ANSWER,))
 
 
-@Rule(level=Level.OK, each_device=True,
+@Rule(level=Level.OK,
       symptoms={'no writes'})
 def never_written(case: Case, device: DeviceReport) -> Found | None:
     """
@@ -614,7 +590,7 @@ def never_written(case: Case, device: DeviceReport) -> Found | None:
             or 'Goal Position' not in device.model.by_name \
             or case.heard_s < POLLED_MIN_S or not device.window.answers:
         return None
-    written = [one.id for one in case.report.devices if one.window.writes]
+    written = [one.id for one in case.devices if one.window.writes]
     if not written:
         return Doubt('read but never written, like all others: this master may only '
                      'monitor')
@@ -634,27 +610,28 @@ def fast_read_unsupported(case: Case) -> Claims:
 
     Do: update its firmware, or use Sync Read.
     """
-    known = set()
-    for cycle in case.report.cycles:
-        if cycle.instruction not in FAST_READS or not cycle.stamps or cycle.asked < INCIDENTS_MIN \
-                or case.now - cycle.stamps[-1] > 2 * NS_PER_S:
-            continue
-        first = next((number for number in cycle.ids if number in case.devices
-                      and not case.devices[number].totals.fast_answers), None)
-        found = None if first is None or first in known else \
-            _fast_read(case, case.devices[first], cycle)
-        if found is not None and first is not None:
-            known.add(first)
-            yield found
+    found: dict[int, Claim] = {}
+    for cycle in case.cycles:
+        if cycle.instruction in FAST_READS and cycle.stamps and cycle.asked >= INCIDENTS_MIN \
+                and case.now - cycle.stamps[-1] <= 2 * NS_PER_S:
+            first = next((case.by_id[number] for number in cycle.ids if number in case.by_id
+                          and not case.by_id[number].totals.fast_answers), None)
+            if first is not None and not _may_be_absent(case, first):
+                found.setdefault(first.id, _claim_fast_read(cycle, first))
+    yield from found.values()
 
 
-def _fast_read(case: Case, device: DeviceReport, cycle: Cycle) -> Found | None:
+def _may_be_absent(case: Case, device: DeviceReport) -> bool:
+    """Tell whether a device that could take part gives no answer to anything else either."""
     refused = sum(one.detail.instruction in FAST_READS and one.detail.error == INSTRUCTION_ERROR
                   for one in case.incidents(ev.REFUSED, device))
-    is_able = device.firmware is not None and not _lacks_fast_reads(device) \
+    is_able = device.firmware is not None \
+        and device.firmware >= _fast_reads_since(device.model_number) \
         and case.recent_counts(device, ANSWERS_OTHERWISE_S).answers < INCIDENTS_MIN
-    if refused < INCIDENTS_MIN and (is_able or not device.totals.answers):
-        return None                            # perhaps it is not there
+    return refused < INCIDENTS_MIN and (is_able or not device.totals.answers)
+
+
+def _claim_fast_read(cycle: Cycle, device: DeviceReport) -> Claim:
     firmware = '' if device.firmware is None else f', firmware {device.firmware}'
     after = cycle.ids[cycle.ids.index(device.id):]
     return Claim('answers, but never a fast read '
@@ -663,13 +640,9 @@ def _fast_read(case: Case, device: DeviceReport, cycle: Cycle) -> Found | None:
                  {'fast reads': cycle.asked}, covers=tuple(after), device=device.id)
 
 
-def _lacks_fast_reads(device: DeviceReport) -> bool:
-    """Tell whether its firmware is older than fast reads (e-Manual, Fast Sync Read)."""
-    if device.firmware is None or device.model_number is None:
-        return False
-    since = next((firmware for numbers, firmware in _FAST_SINCE if device.model_number in numbers),
-                 0)
-    return device.firmware < since
+def _fast_reads_since(model_number: int | None) -> int:
+    """Return the firmware from which on a model has fast reads (e-Manual, Fast Sync Read)."""
+    return next((firmware for numbers, firmware in _FAST_SINCE if model_number in numbers), 0)
 
 
 @Rule(subject='bus',
@@ -683,12 +656,11 @@ def sync_read_unsupported(case: Case) -> Claims:
     Do: read one after the other.
     """
     is_feetech = case.report.protocol == FEETECH.name
-    if case.count(ev.UNASKED) or not (
-            is_feetech or case.report.protocol in (DYNAMIXEL_1.name, UNDECIDED.name)):
+    if case.count(ev.UNASKED) \
+            or case.report.protocol not in (DYNAMIXEL_1.name, UNDECIDED.name, FEETECH.name) \
+            or sum(device.totals.answers for device in case.devices) < INCIDENTS_MIN:
         return
-    if sum(device.totals.answers for device in case.report.devices) < INCIDENTS_MIN:
-        return
-    for cycle in case.report.cycles:
+    for cycle in case.cycles:
         if cycle.instruction == Instruction.SYNC_READ \
                 and case.times_asked(cycle, ANSWERS_OTHERWISE_S) >= INCIDENTS_MIN and (
                     not is_feetech or _answer_single_reads(case, cycle)):
@@ -700,7 +672,7 @@ def sync_read_unsupported(case: Case) -> Claims:
 
 def _answer_single_reads(case: Case, cycle: Cycle) -> bool:
     """Tell whether Feetech servos may lack Sync Read: each answers, and never this one."""
-    members = [case.devices[number] for number in cycle.ids if number in case.devices]
+    members = [case.by_id[number] for number in cycle.ids if number in case.by_id]
     return cycle.missed >= cycle.asked - 1 and bool(members) and all(
         case.recent_counts(one, ANSWERS_OTHERWISE_S).answers >= INCIDENTS_MIN
         and not one.model_name.startswith(HAVE_SYNC_READ) for one in members)
@@ -716,21 +688,18 @@ def group_read_unanswered(case: Case) -> Claims:
 
     Do: read it by single Reads; update its firmware, or let it hear the one before it.
     """
-    for cycle in case.report.cycles:
-        if cycle.instruction not in GROUP_READS or cycle.missed < GROUP_READS_MIN \
-                or cycle.missed < cycle.asked - 1:
-            continue
-        for device in case.report.devices:
-            if device.id in cycle.ids \
-                    and device.totals.missed >= MISSED_ALIKE_MIN_SHARE * cycle.missed \
-                    and device.window.answers - device.window.pongs >= GROUP_READS_MIN \
-                    and _is_lost_there_only(case, cycle, device):
-                yield _claim_unanswered(cycle, device)
+    for cycle in case.cycles:
+        if cycle.instruction in GROUP_READS \
+                and cycle.missed >= max(GROUP_READS_MIN, cycle.asked - 1):
+            yield from (_claim_unanswered(cycle, device) for device in case.devices
+                        if device.id in cycle.ids and _is_lost_there_only(case, cycle, device))
 
 
 def _is_lost_there_only(case: Case, cycle: Cycle, device: DeviceReport) -> bool:
     """Tell whether a device is lost in this instruction, and in no other one."""
-    if _may_come_late(case, device):
+    if device.totals.missed < MISSED_ALIKE_MIN_SHARE * cycle.missed \
+            or device.window.answers - device.window.pongs < GROUP_READS_MIN \
+            or _may_come_late(case, device):
         return False
     missed = case.incidents(ev.MISSED, device)
     alike = sum((one.detail.instruction, one.detail.address) == (cycle.instruction, cycle.address)
@@ -752,8 +721,8 @@ def _claim_unanswered(cycle: Cycle, device: DeviceReport) -> Claim:
 
 def _may_come_late(case: Case, device: DeviceReport) -> bool:
     """Tell whether the program may give up, or throw away, answers that do come."""
-    return device.window.spoilt > 0 or case.count(ev.STALE) > 0 or case.count(ev.UNASKED) > 0 \
-        or case.count(ev.THROWN_AWAY) > 0 or case.count(ev.LATE) > 0
+    return device.window.spoilt > 0 \
+        or any(case.count(kind) for kind in (ev.STALE, ev.UNASKED, ev.THROWN_AWAY, ev.LATE))
 
 
 RULES = (rate_refused, line_mode, unread_answers, wrong_packets, eeprom_locked, wrong_address,

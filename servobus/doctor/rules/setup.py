@@ -57,8 +57,8 @@ def factory_id(case: Case) -> Claims:
 
     Do: connect them one at a time, give each its own ID.
     """
-    first = case.devices.get(FACTORY_ID)
-    absent = [device.id for device in case.report.devices if device is not first
+    first = case.by_id.get(FACTORY_ID)
+    absent = [device.id for device in case.devices if device is not first
               and device.last_heard_s is None
               and max(device.missed_in_a_row, device.acks_missing) >= INCIDENTS_MIN
               and 2 * device.window.garbled <= device.window.missed]
@@ -80,7 +80,6 @@ def _clashes(case: Case, device: DeviceReport) -> bool:
 
 
 @Rule(level=Level.ERROR, onset_s=SUPPLY_ONSET_S,
-      symptoms={'proof'},
       accounts_for={'voltage limit', 'error bits', 'joint at rest'})
 def wrong_supply(case: Case) -> Claims:
     """
@@ -89,7 +88,7 @@ def wrong_supply(case: Case) -> Claims:
     Do: compare its label with the supply.
     """
     high, low, unknown = [], [], []
-    for device in case.report.devices:
+    for device in case.devices:
         volts = last_read(case, device, SUPPLY[0])
         if device.model.protocol not in FAMILY_1 or volts is None or volts < ALIVE_MIN_VOLTS:
             continue
@@ -127,8 +126,7 @@ def _supply_claims(found: list[tuple[DeviceReport, float, float]], words: str,
                     rests_on=SUPPLY)
 
 
-@Rule(each_device=True, protocols=FAMILY_1, needs_model=True,
-      symptoms={'proof'})
+@Rule(protocols=FAMILY_1, needs_model=True)
 def layout(case: Case, device: DeviceReport) -> Found | None:
     """
     Reads or writes that cut a register (1.0 family).
@@ -142,7 +140,7 @@ def layout(case: Case, device: DeviceReport) -> Found | None:
         return Claim(f'reports that its numbers are {order.value.text}, but those of '
                      f'{device.model_name} are not: set its real model in {case.names.devices}')
     refused = {one.detail.address for one in case.incidents(ev.REFUSED, device)}
-    for cycle in case.report.cycles:
+    for cycle in case.cycles:
         if cycle.address is None or device.id not in cycle.ids or cycle.asked < INCIDENTS_MIN \
                 or cycle.address in refused or cycle.stamps[-1] < case.now - WINDOW_NS:
             continue

@@ -13,6 +13,7 @@ from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterator
 from itertools import pairwise
+from math import inf
 from operator import attrgetter
 from statistics import median
 
@@ -24,6 +25,7 @@ from msg_defs.units import NS_PER_MS
 from msg_defs.units import NS_PER_S
 from servobus.bus import evidence as ev
 from servobus.bus.report import Cycle
+from servobus.bus.report import D
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import Incident
 from servobus.bus.report import STOLE_REPLIES
@@ -34,10 +36,11 @@ from servobus.doctor.facts import is_collision
 from servobus.doctor.facts import is_overlaid
 from servobus.doctor.facts import ran_into_answers
 from servobus.doctor.rhythm import answer_ns
+from servobus.doctor.rhythm import answered_within_ns
 from servobus.doctor.rhythm import is_independent
 from servobus.doctor.rhythm import is_locked
 from servobus.doctor.rhythm import is_multiple
-from servobus.doctor.rhythm import REPEAT_WITHIN_NS
+from servobus.doctor.rhythm import percentiles
 from servobus.doctor.rhythm import Rhythm
 from servobus.doctor.rhythm import WRITES
 from servobus.doctor.rule import all_ids
@@ -55,11 +58,11 @@ from servobus.doctor.thresholds import WINDOW_S
 
 SAME_LATENESS_NS = 3 * NS_PER_MS    # late answers closer than this belong to one
 LOAD_BUSY_PERCENT = 75.0           # wire time: the rest leaves no room for a retry
-LOAD_WINDOW_S = 3.0
+LOAD_WINDOW_S = 3.0                # a few cycles, even of a slow master
 BLUR_FACTOR = 3                    # times the resolution: what is narrower is not a finding
 RETURN_DELAY_MS = (0.4, 0.7)       # a Return Delay Time of 500 us, as measured
 RETURN_DELAY_SPREAD_MS = 0.15      # a delay that is set varies less than one of an adapter
-RETURN_DELAY_MIN_ANSWERS = 5
+RETURN_DELAY_MIN_ANSWERS = 5       # the spread of fewer is small by chance
 JITTER_MIN_SPREAD = 0.5            # relative to the cycle
 JITTER_ONSET_S = 3.0               # a computer that is busy for a moment is not a finding
 LATENCY_TIMER_MS = (15.0, 18.5)    # a latency timer of 16 ms, and what its host adds
@@ -106,40 +109,40 @@ def two_masters(case: Case) -> Claims:
                     'another program uses this bus; stop '
                     'one', {'instructions': foreign})
         return
-    lost = sum(one.window.missed for one in case.report.devices if one.id not in case.gone)
+    lost = sum(one.window.missed for one in case.devices if one.id not in case.gone)
     harm = lost + case.damage + case.count(ev.LATE) + INCIDENTS_MIN * case.count(ev.UNASKED)
     if STOLE_REPLIES in case.report.users or (case.report.users and harm >= INCIDENTS_MIN):
         yield Claim(f'{", ".join(case.report.users)} uses this port too, and answers get '
                     'lost or damaged: let only one use it',
                     {'missed answers': lost, 'damaged packets': case.damage}, is_certain=True)
         return
-    if case.report.has_sides and harm < INCIDENTS_MIN:
+    if case.has_sides and harm < INCIDENTS_MIN:
         return                                 # one program with two timers, or with a lock
     pair = _independent_rhythms(case)
-    if pair is None:
-        for clocks in case.clocks:
-            fast, slow = sorted(timer.period / NS_PER_MS for timer in clocks.timers)
-            words = f'{_spell_rhythm(clocks.cycle, fast * NS_PER_MS)} and every {slow:.0f} ms'
-            if is_collision(case):
-                yield _claim_two_masters(case, words)
-            else:
-                yield Doubt(f'{words}: two programs, or one with two timers')
-            return
+    if pair is not None:
+        loops = [_spell_rhythm(one.cycle, one.base) for one in pair]
+    elif case.clocks:
+        fast, slow = sorted(timer.period for timer in case.clocks[0].timers)
+        loops = [_spell_rhythm(case.clocks[0].cycle, fast), f'every {slow / NS_PER_MS:.0f} ms']
     else:
-        one, other = (_spell_rhythm(rhythm.cycle, rhythm.base) for rhythm in pair)
-        yield _claim_two_masters(case, f'{one} and {other}')
+        return
+    words = ' and '.join(loops)
+    if pair is None and not is_collision(case):
+        yield Doubt(f'{words}: two programs, or one with two timers')
+        return
+    yield Claim(f'{words}: two programs, or two threads without a lock; let only one ask',
+                {'damaged packets': case.damage})
 
 
 def _independent_rhythms(case: Case) -> tuple[Rhythm, Rhythm] | None:
     """Return two instructions that keep time apart from each other."""
     ordered = sorted(case.rhythms, key=attrgetter('base'))
     least = max(BLUR_FACTOR * case.blur_ms, 1.0) * NS_PER_MS
-    if not ordered or (not is_overlaid(case) and (
-            ordered[0].base <= least or not ordered[0].is_steady)):
+    steady = [one for one in ordered if one.is_steady]
+    if not steady or steady[0].base <= least \
+            or (steady[0] is not ordered[0] and not is_overlaid(case)):
         return None
-    one, *others = [one for one in ordered if one.is_steady] or ordered[:1]
-    if one.base <= least or not one.is_steady:
-        return None
+    one, *others = steady
     collide = is_collision(case)               # as one program's questions never do
     for other in others:
         differs = collide and not is_locked(other, one)
@@ -148,11 +151,6 @@ def _independent_rhythms(case: Case) -> tuple[Rhythm, Rhythm] | None:
                 and is_independent(one, other) and is_independent(other, one)):
             return one, other
     return None
-
-
-def _claim_two_masters(case: Case, words: str) -> Claim:
-    return Claim(f'{words}: two programs, or two threads without a lock; let only one ask',
-                 {'damaged packets': case.damage})
 
 
 def _spell_rhythm(cycle: Cycle, period: float) -> str:
@@ -183,16 +181,17 @@ def impatient_master(case: Case) -> Claims:
         worst = again.most_common(1)[0][0]
         words = f'the master repeats {name_of(worst)} at once, {again.total()} times in 10 s'
         yield Doubt(f'{words}, though it got whole answers: its parser may reject them') \
-            if case.report.has_sides and not case.waits(WINDOW_S) else \
+            if case.has_sides and not case.waits(WINDOW_S) else \
             Claim(f'{words}: its time-out is shorter than the answers take; raise it',
                   {'repeated': again.total()})
         return
-    if _gives_up_at_once(case) and case.damage >= INCIDENTS_MIN \
+    hasty = _gives_up_at_once(case)
+    if hasty and case.damage >= INCIDENTS_MIN \
             and any(case.recent_counts(device, WAITS_WINDOW_S).answers
-                    for device in case.report.devices):
+                    for device in case.devices):
         yield Claim('the master does not wait for answers and sends during them: it gives '
                     f'up within {FACTORY_DELAY_US} us, before a servo with factory settings '
-                    'answers; raise its time-out', {'given up at once': _gives_up_at_once(case)})
+                    'answers; raise its time-out', {'given up at once': hasty})
         return
     thrown = sum(one.detail.instruction not in WRITES for one in case.incidents(ev.THROWN_AWAY))
     if thrown >= THROWN_AWAY_MIN:
@@ -213,7 +212,7 @@ def _gives_up_at_once(case: Case) -> int:
     waits = case.waits(WAITS_WINDOW_S)
     hasty = [one.us for one in waits if not one.is_spoilt]
     if len(hasty) < HASTY_MIN_WAITS or (
-            case.report.has_sides and len(hasty) < HASTY_MIN_SHARE * len(waits)):
+            case.has_sides and len(hasty) < HASTY_MIN_SHARE * len(waits)):
         return 0
     return len(hasty) if median(hasty) < FACTORY_DELAY_US else 0
 
@@ -228,9 +227,9 @@ def _questions_into_acks(case: Case) -> int:
     spoilt = [wait.stamp - 1000 * wait.us for wait in case.waits(WINDOW_S) if wait.is_spoilt]
     if len(spoilt) < INCIDENTS_MIN:
         return 0
-    writes = sorted(stamp for cycle in case.report.cycles for stamp in cycle.stamps
+    writes = sorted(stamp for cycle in case.cycles for stamp in cycle.stamps
                     if cycle.instruction == Instruction.WRITE and not _acknowledges(case, cycle))
-    asked = [stamp for cycle in case.report.cycles if cycle.instruction not in WRITES
+    asked = [stamp for cycle in case.cycles if cycle.instruction not in WRITES
              for stamp in cycle.stamps]
     times = sum(_is_after(writes, stamp) for stamp in spoilt)
     usual = sum(_is_after(writes, stamp) for stamp in asked)
@@ -239,7 +238,7 @@ def _questions_into_acks(case: Case) -> int:
 
 
 def _acknowledges(case: Case, cycle: Cycle) -> bool:
-    return any(number not in case.devices or case.devices[number].acks is not None
+    return any(number not in case.by_id or case.by_id[number].acks is not None
                for number in cycle.ids)
 
 
@@ -257,12 +256,10 @@ def _repeats_into_answers(case: Case) -> list[Incident[ev.Again]]:
     """
     if not case.count(ev.TOO_LONG) or not ran_into_answers(case):
         return []
-    longest: dict[int, float] = {}
-    for cycle in case.report.cycles:
-        within = 1.2 * answer_ns(cycle, case.report.baud) + REPEAT_WITHIN_NS
-        longest[cycle.instruction] = max(within, longest.get(cycle.instruction, 0.0))
-    return [one for one in case.incidents(ev.REPEATED)
-            if 1000 * one.detail.us < longest.get(one.detail.instruction, 0.0)]
+    return [one for one in case.incidents(ev.REPEATED) if any(
+        cycle.instruction == one.detail.instruction
+        and 1000 * one.detail.us < answered_within_ns(cycle, case.report.baud)
+        for cycle in case.cycles)]
 
 
 def _hidden_repeats(case: Case) -> list[Incident[ev.Code]]:
@@ -272,12 +269,15 @@ def _hidden_repeats(case: Case) -> list[Incident[ev.Code]]:
     Behind a damaged instruction they would be its own answers.
     """
     again = case.incidents(ev.ANSWERED_AGAIN)
-    first = again[:1] + [one for before, one in pairwise(again)
-                         if one.stamp - before.stamp > SAME_LATENESS_NS]
-    if len({one.device for one in again}) < 2 \
-            or len(first) < 2 * case.count(ev.DAMAGED_INSTRUCTION):
-        return []
-    return first
+    first = _first_of_groups(again)
+    return first if len({one.device for one in again}) > 1 \
+        and len(first) >= 2 * case.count(ev.DAMAGED_INSTRUCTION) else []
+
+
+def _first_of_groups(incidents: list[Incident[D]]) -> list[Incident[D]]:
+    """Return the first of each group of incidents that are close to one another."""
+    return incidents[:1] + [one for before, one in pairwise(incidents)
+                            if one.stamp - before.stamp > SAME_LATENESS_NS]
 
 
 @Rule(symptoms={'late answers'},
@@ -288,15 +288,10 @@ def late_answers(case: Case) -> Claims:
 
     Do: lower Return Delay Time, or raise the time-out.
     """
-    late, fatal = case.incidents(ev.LATE), fatal_late_answer(case)
-    first: Counter[int] = Counter()
-    before = 0
-    for one in late:
-        if one.stamp - before > SAME_LATENESS_NS:
-            first[one.device] += 1
-        before = one.stamp
+    fatal = fatal_late_answer(case)
+    first = Counter(one.device for one in _first_of_groups(case.incidents(ev.LATE)))
     for number, count in [(fatal.device, 1)] if fatal else first.most_common(1):
-        device = case.devices.get(number)
+        device = case.by_id.get(number)
         if not fatal and (count < INCIDENTS_MIN or (device is not None and (
                 device.window.not_served >= count
                 or count < LATE_MIN_SHARE * device.window.asked))):
@@ -315,14 +310,14 @@ def late_answers(case: Case) -> Claims:
                         'or lower its Return Delay Time',
                         {'late answers': count, 'waits': f'{median(known) / 1000:.1f} ms'
                             if known else 'unknown', **({'also': all_ids(also)} if also else {})},
-                        covers=tuple(case.devices), device=number)
+                        covers=tuple(case.by_id), device=number)
 
 
 def _is_cut_short(case: Case) -> bool:
     """Tell whether questions came as no wait for an answer ends, so that none was given up."""
     waits = [one.us for one in case.waits(WINDOW_S) if not one.is_spoilt]
     return bool(waits) and median(waits) < (
-        FACTORY_DELAY_US if case.report.has_sides else NO_WAIT_US)
+        FACTORY_DELAY_US if case.has_sides else NO_WAIT_US)
 
 
 @Rule(needs_incident=(ev.WRONG_SIZE,),
@@ -353,16 +348,16 @@ def latency_timer(case: Case) -> Claims:
 
     Do: set the latency timer of the master's adapter to 1 ms.
     """
-    answers = [answer_ns(cycle, case.report.baud) for cycle in case.report.cycles]
+    answers = [answer_ns(cycle, case.report.baud) for cycle in case.cycles]
     answered = sum(len(cycle.stamps) - bisect_right(cycle.stamps, case.now - NS_PER_S)
-                   for cycle, answer in zip(case.report.cycles, answers, strict=True) if answer)
+                   for cycle, answer in zip(case.cycles, answers, strict=True) if answer)
     if answered > LATENCY_TIMER_MAX_PER_S + 1:     # before all is sorted: it is a fast bus
         return
     if case.report.cycle is not None and case.report.cycle.asleep > case.report.cycle.device:
         return                                 # when the answers came is unknown
     # In one chunk a write comes first: a question would have had to wait for its answer.
     stamps = sorted((stamp, answers[number], number)
-                    for number, cycle in enumerate(case.report.cycles)
+                    for number, cycle in enumerate(case.cycles)
                     for stamp in cycle.stamps if stamp > case.now - NS_PER_S)
     is_coarse = case.blur_ms > RESOLVED_MS
     gaps = [((number, following), two - one, answer)
@@ -376,22 +371,20 @@ def latency_timer(case: Case) -> Claims:
     if is_coarse and all(
             abs(gap - ADAPTER_GRID_NS) < ADAPTER_GRID_NS // 1000 for _, gap in latent):
         return
-    if case.report.has_sides and not any(
+    if case.has_sides and not any(
             known is not None and known.p50 > LATENCY_TIMER_MS[0] / 2
-            for one in case.report.devices for known in [one.latency.window]):
+            for one in case.devices for known in [one.latency.window]):
         return                                 # the answers were there long before
     if latent and sum(abs(gap - HZ_60_NS) < HZ_60_NS // 100 for _, gap in latent) \
             >= HZ_60_MIN_SHARE * len(latent):
         yield Doubt('instructions come every 16.7 ms: a loop at 60 Hz, or a latency timer '
                     'of 16 ms in the adapter of the master')
         return
-    slow = [kinds for kinds, _ in latent]
-    if len(slow) < LATENCY_TIMER_MIN_GAPS or len(slow) < LATENCY_TIMER_MIN_SHARE * len(gaps):
-        return
-    if any(number != following for number, following in slow):
+    if len(latent) >= max(LATENCY_TIMER_MIN_GAPS, LATENCY_TIMER_MIN_SHARE * len(gaps)) \
+            and any(number != following for (number, following), _ in latent):
         yield Claim('most instructions come 16 ms after the previous answer: the latency '
                     "timer of the master's adapter; set it to 1 ms",
-                    {'16 ms later': f'{len(slow)} of {len(gaps)}'})
+                    {'16 ms later': f'{len(latent)} of {len(gaps)}'})
 
 
 @Rule(subject='bus',
@@ -413,7 +406,7 @@ def bus_too_slow(case: Case) -> Claims:
         per_cycle = '' if steady is None else \
             f', {got / seconds * steady.period / NS_PER_S:.0f} bytes per cycle'
         harm = case.damage or any(device.window.missed and not device.missed_in_a_row
-                                  for device in case.report.devices)      # one is not just dead
+                                  for device in case.devices)      # one is not just dead
         yield Claim(f'the line is busy for more than {LOAD_BUSY_PERCENT:.0f} % of the '
                     f'time{per_cycle}: no room for a retry; raise the baud rate, or read less',
                     {'load (%)': f'{load:.0f}', 'bytes per second': f'{got / seconds:.0f}'},
@@ -423,40 +416,31 @@ def bus_too_slow(case: Case) -> Claims:
 @Rule(level=Level.OK,
       symptoms={'slow answers'},
       accounts_for={'slow cycle'})
-def return_delay(case: Case) -> Claims:
+def return_delay(case: Case, device: DeviceReport) -> Found | None:
     """
     Return Delay Time is 0.4 ms or more.
 
     Do: write 0.
     """
-    for device in case.report.devices:
-        register = case.values[device.id].get('Return Delay Time')
-        delay_ms = register.value.number * 1000 if register and register.value.number is not None \
-            else None
-        measured = _measured_ms(device)
-        low, high = RETURN_DELAY_MS
-        if (delay_ms or 0.0) >= low or (
-                delay_ms is None and measured is not None and low <= measured <= high):
-            yield _delay_claim(case, device, delay_ms, measured)
-
-
-def _measured_ms(device: DeviceReport) -> float | None:
-    summary = device.latency.window or device.latency.total
-    if summary is None or summary.count < RETURN_DELAY_MIN_ANSWERS \
-            or summary.p95 - summary.p50 > RETURN_DELAY_SPREAD_MS:
+    register = case.values[device.id].get('Return Delay Time')
+    low, high = RETURN_DELAY_MS
+    delay_ms, how, source = _measured_ms(device), 'reply latency', 'measured'
+    if register is not None and register.value.number is not None:
+        delay_ms, how, source = 1000 * register.value.number, 'Return Delay Time', 'yes'
+        high = inf
+    if not low <= delay_ms <= high:
         return None
-    return summary.p50
-
-
-def _delay_claim(case: Case, device: DeviceReport, delay_ms: float | None,
-                 measured: float | None) -> Claim:
-    known = delay_ms if delay_ms is not None else measured or 0.0
-    how = 'Return Delay Time' if delay_ms is not None else 'reply latency'
     rate = device.totals.reads / case.heard_s if case.heard_s > 0 else 0.0
-    return Claim(f'waits {known:.1f} ms before each answer ({how}): write 0 to Return '
-                 f'Delay Time, which saves {known * rate:.0f} ms of bus time per second',
-                 {'delay (ms)': f'{known:.2f}', 'read': 'yes' if delay_ms else 'measured'},
-                 device=device.id)
+    return Claim(f'waits {delay_ms:.1f} ms before each answer ({how}): write 0 to Return '
+                 f'Delay Time, which saves {delay_ms * rate:.0f} ms of bus time per second',
+                 {'delay (ms)': f'{delay_ms:.2f}', 'read': source})
+
+
+def _measured_ms(device: DeviceReport) -> float:
+    """Return how long it waits before each answer, 0 where that varies."""
+    summary = device.latency.window or device.latency.total
+    return 0.0 if summary is None or summary.count < RETURN_DELAY_MIN_ANSWERS \
+        or summary.p95 - summary.p50 > RETURN_DELAY_SPREAD_MS else summary.p50
 
 
 # --- the cycle of the master ---------------------------------------------------------------------
@@ -478,9 +462,7 @@ def jitter(case: Case) -> Claims:
     if min(one.spread for one in often) <= JITTER_MIN_SPREAD:
         return
     best = min(often, key=attrgetter('jitter'))
-    ordered = sorted(best.periods)
-    edge = len(ordered) // 10
-    low, high = ordered[edge] / NS_PER_MS, ordered[-1 - edge] / NS_PER_MS
+    low, _, high = (period / NS_PER_MS for period in percentiles(best.periods))
     if best.jitter > JITTER_MIN_SPREAD and high - low > BLUR_FACTOR * case.blur_ms \
             and (key_of(best.cycle) in case.steady or best.is_paced):
         yield Claim("the master's cycle is no longer regular: its computer is busy, or its "
@@ -524,11 +506,11 @@ def cycle_time(case: Case) -> Claims:
 
 def _faster_ways(case: Case, within_ns: float) -> Iterator[str]:
     """Yield what makes the exchanges of a cycle faster; what is asked less often is none."""
-    alike = Counter((one.address, one.length) for one in case.report.cycles
+    alike = Counter((one.address, one.length) for one in case.cycles
                     if one.instruction == Instruction.READ and 2 * one.missed < one.asked
                     and one.stamps[-1] - one.stamps[0] < within_ns * len(one.stamps))
     reads = max(alike.values(), default=0)
-    slow = max((one.latency.window.p50 for one in case.report.devices if one.latency.window),
+    slow = max((one.latency.window.p50 for one in case.devices if one.latency.window),
                default=0.0)
     if reads >= SINGLE_READS_MIN and '1.0' not in case.report.protocol:     # it has no Sync Read
         yield (f'{reads} servos are read one by one, which is most of each cycle: use one Sync '

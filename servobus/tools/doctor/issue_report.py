@@ -107,7 +107,7 @@ def make_report(verdict: Verdict, buses: Sequence[BusSummary], seconds: float, m
     """Return the text of a report; verdict and buses are those of the names in it."""
     stored = {'verdict': verdict._asdict(), 'json': as_json(verdict, buses, seconds),
               'devices': list(maker.devices), 'protocol': maker.protocol}
-    text = [f'{REPORT} {VERSION}', *_ABOUT, '', *screen(verdict, height=1000), '', 'System:']
+    text = [f'{REPORT} {VERSION}', *_ABOUT, '', *screen(verdict, height=None), '', 'System:']
     text += [f'  {printable(line)}' for line in (*maker.system, *maker.adapters, *maker.host)]
     for bus in buses:
         text += ['', *_figures(bus)]
@@ -247,16 +247,19 @@ def _verdict(stored: dict[str, Any]) -> Verdict | None:
     try:
         return Verdict(
             _text(verdict['source']), tuple(_texts(verdict['head'])),
-            tuple(DeviceGroup(_text(who), _text(what), Level(level))
-                  for who, what, level in verdict['heard'][:_LIST_MAX_LENGTH]),
-            tuple(Trouble(Level(level), _text(who), _text(rule), _text(message), _text(evidence))
-                  for level, who, rule, message, evidence in verdict['wrong'][:_LIST_MAX_LENGTH]),
+            _rows(DeviceGroup, verdict['heard']), _rows(Trouble, verdict['wrong']),
             tuple(_texts(verdict['unknown'])), tuple(_texts(verdict['quiet'])),
             _text(verdict.get('protocol', '')), tuple(_texts(verdict.get('cycles'))),
-            tuple(OpenPoint(_text(who), _text(rule), _text(message), _text(step)) for
-                  who, rule, message, step in verdict.get('not_sure', [])[:_LIST_MAX_LENGTH]))
+            _rows(OpenPoint, verdict.get('not_sure', [])))
     except (KeyError, TypeError, ValueError):
         return None
+
+
+def _rows(kind: type[Any], rows: list[Any]) -> tuple[Any, ...]:
+    """Return rows of values as what they were; each has a text but `level`."""
+    return tuple(kind(*[Level(value) if name == 'level' else _text(value)
+                        for name, value in zip(kind._fields, row, strict=True)])
+                 for row in rows[:_LIST_MAX_LENGTH])
 
 
 def _logged_findings(as_json: Any) -> frozenset[tuple[str, str, str]] | None:

@@ -219,7 +219,7 @@ class Program(Source):
         """How it ended, as far as it has."""
         code = self._child.returncode or 0
         return self._ending._replace(
-            code=128 - code if code < 0 else code,
+            code=self._started.exit_code,
             was_stopped=self._was_stopped or (code < 0 and -code not in CRASHES),
             unheard=(self._started.why_unheard() if self._unheard is None else self._unheard)
             or ('' if self._started.is_traced else '; '.join(self._missed) or _BESIDES),
@@ -228,10 +228,7 @@ class Program(Source):
                         for one in self._others.get(ntpath.basename(port), ())))
 
     def _some(self, records: list[TapRecord]) -> Iterator[Chunk | None]:
-        for record in records:
-            chunk = self._chunk(record)
-            if chunk is not None:
-                yield chunk
+        yield from filter(None, map(self._chunk, records))
         if not records:
             yield None
 

@@ -9,10 +9,10 @@ it.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from collections.abc import Sequence
 from itertools import groupby
 import os
-import re
 from typing import Any
 from typing import NamedTuple
 
@@ -112,7 +112,8 @@ def make_verdict(source: str, buses: Sequence[BusSummary], seconds: float, is_ti
     """
     unknown = [*more_unknown, *([] if is_timed or quiet else [_UNTIMED])]
     not_sure: list[OpenPoint] = []
-    port = next(iter(ports), '') or re.sub('^usb:', '', source)
+    port = next(iter(ports), '') or source.removeprefix('usb:')
+    device = port if port.startswith('/dev/') else PORT
     for bus in buses:
         doubts = [one for one in bus.report.doubts if is_timed or one.rule not in NEEDS_TIMES]
         found = [one.finding for one in bus.logged]
@@ -124,9 +125,9 @@ def make_verdict(source: str, buses: Sequence[BusSummary], seconds: float, is_ti
         unknown += [f'{bus.who(one.id)}: {printable(one.message)}; the cause is unknown'
                     for one in _unnamed(bus)
                     if _is_slight(one) and one.id not in {finding.device for finding in left}]
-        not_sure += [OpenPoint(bus.who(one.device), one.rule, printable(one.message), printable(
-            one.step.replace(PORT, port if port.startswith('/dev/') else PORT)))
-            for one in [*steps, *left]]
+        not_sure += [OpenPoint(bus.who(one.device), one.rule, printable(one.message),
+                               printable(one.step.replace(PORT, device)))
+                     for one in [*steps, *left]]
     wrong = [entry for bus in buses for entry in _wrong(bus)]
     if ended:
         if not (quiet or not_sure or any(entry.level > Level.OK for entry in wrong)):
@@ -182,12 +183,17 @@ def _heard(bus: BusSummary) -> list[DeviceGroup]:
     found = []
     for kind, many in groupby(bus.report.devices, key=_kind):
         devices = list(many)
-        place = f'{bus.name}/' if bus.name else ''
-        who = ', '.join(f'{place}{span}' for span in spans((one.id for one in devices), ID))
-        if len(devices) == 1 and devices[0].joint:
-            who = f'{place}{devices[0].name}'
+        who = _spans(bus, (one.id for one in devices))
+        if len(devices) == 1:
+            who = f'{who} {devices[0].joint}'.rstrip()
         found.append(DeviceGroup(printable(who), printable(kind[0]), kind[1]))
     return found
+
+
+def _spans(bus: BusSummary, ids: Iterable[int]) -> str:
+    """Return devices as '001-006, 008', each with its bus where there are several."""
+    place = f'{bus.name}/' if bus.name else ''
+    return ', '.join(place + span for span in spans(ids, ID))
 
 
 def _kind(device: DeviceReport) -> tuple[str, Level]:
@@ -238,9 +244,7 @@ def _entry(bus: BusSummary, alike: Sequence[LoggedFinding]) -> Trouble:
     who = bus.who(first.device)
     if len(alike) > 1:
         numbers = {one.finding.device for one in alike}
-        place = f'{bus.name}/' if bus.name else ''
-        who = ', '.join(place + span for span in spans(
-            (device.id for device in bus.report.devices if device.id in numbers), ID))
+        who = _spans(bus, (device.id for device in bus.report.devices if device.id in numbers))
     return Trouble(first.level, who, first.rule, printable(first.message), _evidence(alike[0]))
 
 

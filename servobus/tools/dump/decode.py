@@ -7,11 +7,11 @@ The one place that knows; text_format.py makes text of it, json.py JSON. Names a
 come from the models, indirect data from where they point; without a model there are raw bytes.
 """
 
-from collections.abc import Iterator
+from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 from msg_defs.dxl_instruction import Access
-from msg_defs.dxl_packet import Packet
 from servobus.bus.table import Table
 from servobus.model.control_table import Field
 from servobus.model.control_table import Model
@@ -55,70 +55,59 @@ class PingAnswer(NamedTuple):
 Layout = tuple[tuple[Field, tuple[int, ...]], ...]     # a field, and where its bytes are
 
 
-class Interpreter:
-    """Reads the entries of one bus; call it only while an entry is taken."""
+def parts_of(entry: Entry, listing: Listing) -> list[Part]:
+    """
+    Return what an instruction or a status is about, in the order on the wire.
 
-    def __init__(self, listing: Listing) -> None:
-        self._listing = listing
-        self._layouts: dict[tuple[Model, int, int, tuple[int, ...]], Layout] = {}
+    Call it only while the entry is handed on.
+    """
+    packet = entry.packet
+    if packet is None:
+        return []
+    accesses = entry.request.accesses
+    if packet.error is None:
+        return [_part(listing, access, access.data) for access in accesses]
+    if entry.blocks:
+        by_id = {access.id: access for access in accesses}
+        return [_part(listing, by_id[block.id], block.data, block.error)
+                for block in entry.blocks]
+    return [_part(listing, access, packet.params) for access in accesses
+            if access.id == packet.id and access.data is None
+            and access.length == len(packet.params)]
 
-    def parts(self, entry: Entry) -> list[Part]:
-        """Return what an instruction or a status is about, in the order on the wire."""
-        packet = entry.packet
-        if packet is None:
-            return []
-        if packet.error is None:
-            return [self._part(access, access.data) for access in entry.request.accesses]
-        if entry.blocks:
-            accesses = {access.id: access for access in entry.request.accesses}
-            return [self._part(accesses[block.id], block.data, block.error)
-                    for block in entry.blocks]
-        return list(self._answer(packet, entry.request.accesses))
 
-    def identity(self, entry: Entry) -> PingAnswer | None:
-        """Return what the answer to a Ping says, None for anything else."""
-        packet = entry.packet
-        if packet is None or packet.error is None or entry.request.accesses \
-                or entry.notes or len(packet.params) != _PING_DATA:
-            return None
-        model = UNKNOWN if entry.device is None else entry.device.model
-        return PingAnswer(packet.params[0] | packet.params[1] << 8,
-                        '' if model is UNKNOWN else model.name, packet.params[2])
+def identity_of(entry: Entry) -> PingAnswer | None:
+    """Return what the answer to a Ping says, None for anything else."""
+    packet = entry.packet
+    if packet is None or packet.error is None or entry.request.accesses \
+            or entry.notes or len(packet.params) != _PING_DATA:
+        return None
+    model = UNKNOWN if entry.device is None else entry.device.model
+    return PingAnswer(packet.params[0] | packet.params[1] << 8,
+                      '' if model is UNKNOWN else model.name, packet.params[2])
 
-    def _answer(self, packet: Packet, accesses: tuple[Access, ...]) -> Iterator[Part]:
-        for access in accesses:
-            if access.id == packet.id and access.data is None \
-                    and access.length == len(packet.params):
-                yield self._part(access, packet.params)
 
-    def _part(self, access: Access, data: bytes | None, error: int = 0) -> Part:
-        device = self._listing.device(access.id)
-        model, table = (UNKNOWN, _NOTHING) if device is None else (device.model, device.table)
-        layout = self._layout(model, access, table)
-        fields = tuple(field if field.cases is None else table.in_force(field, model)
-                       for field, _ in layout)
-        values = () if data is None else tuple(
-            field.decode(bytes([data[index] for index in indices]))
-            for field, (_, indices) in zip(fields, layout, strict=True))
-        return Part(access.id, model, access.address, access.length, data, fields, values, error)
+def _part(listing: Listing, access: Access, data: bytes | None, error: int = 0) -> Part:
+    device = listing.device(access.id)
+    model, table = (UNKNOWN, _NOTHING) if device is None else (device.model, device.table)
+    layout = _layout(model, access, table)
+    fields = tuple(field if field.cases is None else table.in_force(field, model)
+                   for field, _ in layout)
+    values = () if data is None else tuple(
+        field.decode(bytes([data[index] for index in indices]))
+        for field, (_, indices) in zip(fields, layout, strict=True))
+    return Part(access.id, model, access.address, access.length, data, fields, values, error)
 
-    def _layout(self, model: Model, access: Access, table: Table) -> Layout:
-        """Return the fields that lie wholly in a range, and which of its bytes are theirs."""
-        _, address, length, _ = access
-        if model is UNKNOWN or length > DATA_MAX_BYTES:
-            return ()
-        targets: tuple[int, ...] = ()
-        if any(one.data < address + length and address < one.data + one.size
-               for one in model.indirect):
-            targets = _targets(model, access, table)
-        key = model, address, length, targets
-        layout = self._layouts.get(key)
-        if layout is None:
-            if len(self._layouts) >= LAYOUTS_MAX:
-                self._layouts.clear()
-            layout = self._layouts[key] = _lay_out(
-                model, targets or tuple(range(address, address + length)))
-        return layout
+
+def _layout(model: Model, access: Access, table: Table) -> Layout:
+    """Return the fields that lie wholly in a range, and which of its bytes are theirs."""
+    _, address, length, _ = access
+    if model is UNKNOWN or length > DATA_MAX_BYTES:
+        return ()
+    is_indirect = any(one.data < address + length and address < one.data + one.size
+                      for one in model.indirect)
+    return _lay_out(model, _targets(model, access, table) if is_indirect
+                    else range(address, address + length))
 
 
 def _targets(model: Model, access: Access, table: Table) -> tuple[int, ...]:
@@ -141,7 +130,8 @@ def _targets(model: Model, access: Access, table: Table) -> tuple[int, ...]:
     return tuple(targets)
 
 
-def _lay_out(model: Model, targets: tuple[int, ...]) -> Layout:
+@lru_cache(LAYOUTS_MAX)
+def _lay_out(model: Model, targets: Sequence[int]) -> Layout:
     index_of = {target: index for index, target in enumerate(targets)}
     found = [(field, tuple(index_of[at] for at in range(field.at, field.end)))
              for field in model.fields

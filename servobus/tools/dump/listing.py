@@ -179,12 +179,9 @@ class Listing(BusDecoder):
         self._is_damage_entered = False
         noted = self.evidence.incidents_added
         plan = self.tracker.pending
-        if frame[2] == IS_STATUS:
-            super().process_frames([frame], stamp, received, side)
-        else:
-            counts = _missed(plan)
-            super().process_frames([frame], stamp, received, side)
-            self._enter_missed(plan, counts, self._newest)
+        counts = {} if frame[2] == IS_STATUS else _missed(plan)
+        super().process_frames([frame], stamp, received, side)
+        self._enter_missed(plan, counts, self._newest)
         if self._is_plain:
             before, wire = self._recent[side].cut(frame[0], frame[1])
             self._on_entry(Entry(PACKET, self._newest, side=side, wire=wire, before=before))

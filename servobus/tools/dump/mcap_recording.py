@@ -126,9 +126,6 @@ class McapRecording:
     def _make(self, kind: str, **fields: Any) -> Any:
         return self._store.types[kind](**fields)
 
-    def finish(self, now: int, monitors: Mapping[str, Monitor]) -> None:
-        """Nothing is known only at the end."""
-
     def close(self) -> None:
         self._writer.close()
         [file] = (Path(self._folder.name) / 'bag').glob('*.mcap')

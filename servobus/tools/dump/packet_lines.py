@@ -46,15 +46,15 @@ def fit(text: str, width: int) -> str:
 
 class Lines:
     """
-    Makes lines from entries, in order. width None: as long as they are.
+    Makes lines from entries, in order. width: they are cut to it, None: as long as they are.
 
     show_time: 'start' (seconds since the first line), 'clock' (local time) or 'epoch'.
     """
 
-    def __init__(self, width: int | None, colours: bool, show_bus: bool, show_time: str) -> None:
-        self.width = width
+    def __init__(self, colours: bool, show_time: str) -> None:
+        self.width: int | None = None
+        self.show_bus = False
         self._colours = colours
-        self.show_bus = show_bus
         self.has_sides = False             # the source knows who put what on the wire
         self._show_time = show_time
         self._first: int | None = None
@@ -128,11 +128,11 @@ def _shown(entry: Entry, parts: Sequence[Part], identity: PingAnswer | None) -> 
     name = packet_name(packet) + ('*' if packet.repaired else '')
     if packet.error is None:
         colour = YELLOW if entry.request.malformed else CYAN
-        return '>', colour, number, name, request_words(entry, parts)
+        return '>', colour, number, name, request_words(packet, entry, parts)
     errors = [packet.error, *(part.error for part in parts)]
     colour = RED if any(error & ~ALERT for error in errors) \
         else YELLOW if packet.error or entry.notes else GREEN
-    return '<', colour, number, name, answer_words(entry, parts, identity)
+    return '<', colour, number, name, answer_words(packet, entry, parts, identity)
 
 
 def _model(device: Device | None, is_wide: bool) -> str:

@@ -68,9 +68,6 @@ class CaptureRecording:
         if self._source.is_live:
             self._file.flush()
 
-    def finish(self, now: int, monitors: Mapping[str, Monitor]) -> None:
-        """Write what is known only at the end."""
-
     def close(self) -> None:
         self._file.close()
 

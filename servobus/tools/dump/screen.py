@@ -31,9 +31,8 @@ def has_colours(wish: str = 'auto') -> bool:
 class Screen:
     """Shows lines in place of the ones before; without a terminal only the last ones."""
 
-    def __init__(self, file: TextIO, colours: bool) -> None:
+    def __init__(self, file: TextIO) -> None:
         self.is_terminal = file.isatty()
-        self.colours = colours
         self._file = file
         self._height = 0
 

@@ -25,8 +25,10 @@ from servobus.plain import on_screen
 from servobus.plain import printable
 from servobus.settings import settings_of
 from servobus.sources.opening import open_source
+from servobus.tools.cli import print_problems
 from servobus.tools.doctor.no_data import reasons
-from servobus.tools.dump.decode import Interpreter
+from servobus.tools.dump.decode import identity_of
+from servobus.tools.dump.decode import parts_of
 from servobus.tools.dump.filter import is_wanted
 from servobus.tools.dump.json import json_line
 from servobus.tools.dump.listing import Entry
@@ -58,12 +60,11 @@ class Session:
         self._recording = open_recording(self._source, options)
         self._packets = self._recording if isinstance(self._recording, PacketRecording) else None
         self._monitors: dict[str, Monitor] = {}
-        self._screen = Screen(sys.stdout, options.colours)
-        self._lines: Lines | None = None
+        self._screen = Screen(sys.stdout)
+        self._lines = Lines(options.colours, options.time)
         self._shown = 0
         self._bytes = 0
-        self._first: int | None = None
-        self._last = 0
+        self._first = self._last = 0           # stamps of chunks; 0: none yet
         self._started_s = self._next_paint_s = time.monotonic()
         self._next_progress_s = self._started_s + PROGRESS_EVERY_S
         self._has_progress = False
@@ -93,8 +94,7 @@ class Session:
         self._finish()
 
     def _feed_chunk(self, chunk: Chunk) -> None:
-        if self._first is None:
-            self._first = chunk.stamp
+        self._first = self._first or chunk.stamp
         self._last = chunk.stamp
         self._bytes += len(chunk.data)
         monitor = self._monitors.get(chunk.bus) or self._new_monitor(chunk.bus)
@@ -114,43 +114,41 @@ class Session:
         if self._lists or self._packets is not None:
             listing = Listing(self._models, lambda entry: show(entry), settings,
                               self._source.is_timed, is_plain=not self._lists)
-            show = partial(self._accept_entry, bus, Interpreter(listing))
+            show = partial(self._accept_entry, bus, listing)
         self._monitors[bus] = monitor = Monitor(printable(bus), self._models, settings,
                                                 decoder=listing, names=OPTIONS)
         return monitor
 
-    def _accept_entry(self, bus: str, interpreter: Interpreter, entry: Entry) -> None:
+    def _accept_entry(self, bus: str, listing: Listing, entry: Entry) -> None:
         if self._packets is not None:
             try:                       # no context manager: this is for each packet
                 self._packets.record_entry(bus, entry)
             except OSError as error:
                 raise self._named(error) from error
         if self._lists:
-            self._show(printable(bus), interpreter, entry)
+            self._show(printable(bus), listing, entry)
 
-    def _show(self, bus: str, interpreter: Interpreter, entry: Entry) -> None:
+    def _show(self, bus: str, listing: Listing, entry: Entry) -> None:
         """Show an entry, if it is wanted."""
         if not is_wanted(entry, self._options) or self._has_enough():
             return
         began = self._source.began
         stamp = entry.stamp - began.stamp + began.wall
-        parts = interpreter.parts(entry)
-        identity = interpreter.identity(entry)
+        parts = parts_of(entry, listing)
+        identity = identity_of(entry)
         if not self._options.json:
-            line = self._columns().line(bus, stamp, entry, parts, identity)
+            self._fit_lines()
+            line = self._lines.line(bus, stamp, entry, parts, identity)
         elif entry.packet is not None:
             line = json_line(bus, stamp // 1000, entry.packet, entry, parts, identity)
         self._shown += entry.packet is not None
         sys.stdout.write(line + '\n')
 
-    def _columns(self) -> Lines:
-        """Return what makes lines, for the terminal as wide as it is now."""
-        if self._lines is None:
-            self._lines = Lines(None, self._options.colours, False, self._options.time)
+    def _fit_lines(self) -> None:
+        """Make lines for the terminal as wide as it is now, and the buses that are known now."""
         is_cut = self._screen.is_terminal and not self._options.full
         self._lines.width = self._screen.width if is_cut else None
         self._lines.show_bus = len(self._source.wires) > 1
-        return self._lines
 
     def _has_enough(self) -> bool:
         count: int | None = self._options.count
@@ -162,7 +160,7 @@ class Session:
             return self._has_enough()
         if self._source.is_live:
             return time.monotonic() - self._started_s >= limit_s
-        return self._first is not None and self._last - self._first >= 1e9 * limit_s
+        return bool(self._first) and self._last - self._first >= 1e9 * limit_s
 
     def _print_silence(self) -> None:
         """Say once why nothing is shown: a port that is silent looks like a program that hangs."""
@@ -225,9 +223,9 @@ class Session:
             for monitor in self._monitors.values():
                 monitor.end(now)
         reports = self._reports(now)
-        if self._recording is not None:
+        if self._packets is not None:
             with self._naming_the_file():
-                self._recording.finish(now, self._monitors)
+                self._packets.finish(now, self._monitors)
         if self._options.stats:
             self._paint_screen(reports, is_last=True)
         if self._options.summary:
@@ -236,9 +234,8 @@ class Session:
         if self._recording is not None and self._bytes and sys.stderr.isatty():
             print(f'dxl_dump: recorded {self._bytes} bytes of the bus to {self._options.write}',
                   file=sys.stderr)
-        for problem in [*self._no_packet(reports), *self._source.problems(),
-                        *self._models.problems]:
-            print(f'dxl_dump: {printable(problem)}', file=sys.stderr)
+        print_problems('dxl_dump', [*self._no_packet(reports), *self._source.problems(),
+                                    *self._models.problems])
 
     def _no_packet(self, reports: list[BusReport]) -> list[str]:
         """Ask about bytes without a single packet: of no bus, or heard at another rate."""

@@ -32,15 +32,18 @@ _REASONS = {
 FLAWS = {'crc': 'wrong CRC', 'cut': 'ends too early', 'length': 'impossible Length'}
 
 
+def runs(numbers: Iterable[int]) -> list[tuple[int, int]]:
+    """Return first and last of each run: of 1, 2, 3, 9 it is (1, 3), (9, 9)."""
+    found: list[tuple[int, int]] = []
+    for number in numbers:
+        first = found.pop()[0] if found and number == found[-1][1] + 1 else number
+        found.append((first, number))
+    return found
+
+
 def spans(ids: Iterable[int], spelt: str = '{}') -> list[str]:
     """Return '1-20', '22': runs of IDs in the order given."""
-    runs: list[list[int]] = []
-    for number in ids:
-        if runs and number == runs[-1][-1] + 1:
-            runs[-1][1:] = [number]
-        else:
-            runs.append([number])
-    return ['-'.join(map(spelt.format, run)) for run in runs]
+    return ['-'.join(map(spelt.format, dict.fromkeys(run))) for run in runs(ids)]
 
 
 def error_words(error: int) -> str:
@@ -59,11 +62,9 @@ def packet_name(packet: Packet) -> str:
     return f'instruction 0x{STATUS:02X}' if is_strange else name_of(packet.instruction)
 
 
-def request_words(entry: Entry, parts: Sequence[Part]) -> str:
+def request_words(packet: Packet, entry: Entry, parts: Sequence[Part]) -> str:
     """Return what an instruction asks for."""
-    packet, request = entry.packet, entry.request
-    if packet is None:
-        return ''
+    request = entry.request
     if request.malformed:
         return f'makes no sense: {packet.params.hex(" ")}'
     if parts:
@@ -77,11 +78,9 @@ def request_words(entry: Entry, parts: Sequence[Part]) -> str:
 _LISTS = (Answers.LISTED, Answers.COMBINED, Answers.ADAPTER)
 
 
-def answer_words(entry: Entry, parts: Sequence[Part], identity: PingAnswer | None) -> str:
+def answer_words(packet: Packet, entry: Entry, parts: Sequence[Part],
+                 identity: PingAnswer | None) -> str:
     """Return what a status says, its error first; (?): damage may hide what it answers."""
-    packet = entry.packet
-    if packet is None:
-        return ''
     words = [text_of(incident) for incident in entry.notes]
     if packet.error and not entry.blocks:
         words.append(error_words(packet.error))

@@ -3,13 +3,14 @@
 """The tables of the Wireshark dissector: names, errors and control tables, as a file in Lua."""
 from __future__ import annotations
 
-from collections.abc import Iterable
+import json
 from pathlib import Path
 
 from msg_defs import dxl1_instruction
 from msg_defs import dxl_instruction
 from servobus.model.control_table import Field
 from servobus.model.models import Models
+from servobus.tools.dump.text_format import runs
 
 FILE_NAME = 'servobus_tables.lua'
 _HEAD = """-- Copyright 2026 The mecarover_serial authors
@@ -40,7 +41,8 @@ def wireshark_tables(models: Models) -> str:
         numbers = [registers.setdefault(_lua(_register(one)), len(registers) + 1)
                    for one in (model.fields if model else ())
                    if not one.name.startswith('Indirect ')]
-        models_found[number] = [name, layouts.setdefault(_lua(_runs(numbers)), len(layouts) + 1)]
+        ends = [end for run in runs(numbers) for end in run]
+        models_found[number] = [name, layouts.setdefault(_lua(ends), len(layouts) + 1)]
     names, feetech = ({int(code): dxl_instruction.name_of(code) for code in dialect.entries}
                       for dialect in (dxl1_instruction.DYNAMIXEL_1, dxl1_instruction.FEETECH))
     parts = {
@@ -67,17 +69,6 @@ def _register(one: Field) -> list[object]:
     return found
 
 
-def _runs(numbers: Iterable[int]) -> list[int]:
-    """Return numbers as first and last of each run: [1, 2, 3, 9] is [1, 3, 9, 9]."""
-    found: list[int] = []
-    for number in numbers:
-        if found and number == found[-1] + 1:
-            found[-1] = number
-        else:
-            found += [number, number]
-    return found
-
-
 def _lua(value: object) -> str:
     """Spell a value in Lua."""
     if isinstance(value, dict):
@@ -87,7 +78,7 @@ def _lua(value: object) -> str:
     if value is None or isinstance(value, bool):
         return 'true' if value else 'false'
     if isinstance(value, str):
-        return '"' + value.replace('\\', r'\\').replace('"', r'\"') + '"'
+        return json.dumps(value, ensure_ascii=False)    # Lua has the same escapes for " and \
     return repr(value)
 
 

@@ -1,0 +1,79 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Faults on command while a simulated bus runs: lines from a Unix socket or from standard input.
+
+A line is a fault as of --fault, its times from now on, or `back` for the end of all faults, `back
+NAME` or `back NAME:ID` for that of one. A socket answers each line: `ok`, or what is wrong in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextlib import suppress
+import os
+import socketserver
+import stat
+import sys
+import threading
+
+from servobus.errors import ParameterError
+from servobus.errors import UsageError
+from servobus.plain import printable
+
+STANDARD_INPUT = '-'
+_LINE_MAX_BYTES = 1000
+Command = Callable[[str], None]
+
+
+@contextmanager
+def commands_from(place: str, command: Command) -> Iterator[None]:
+    """
+    Hand lines over to `command` in threads of their own.
+
+    place: the path of a socket to make, or '-'. UsageError where it cannot be made.
+    """
+    if place == STANDARD_INPUT:
+        threading.Thread(target=_read_standard_input, args=(command,), daemon=True).start()
+        yield
+        return
+    if os.path.exists(place) and stat.S_ISSOCK(os.stat(place).st_mode):
+        os.unlink(place)               # a bus that was killed left it
+
+    class CommandLines(socketserver.StreamRequestHandler):
+        def handle(self) -> None:
+            with suppress(ConnectionError):        # it left without reading its answers
+                while line := self.rfile.readline(_LINE_MAX_BYTES):
+                    self.wfile.write(f'{_answer(line, command)}\n'.encode())
+
+    try:
+        server = socketserver.ThreadingUnixStreamServer(place, CommandLines)
+    except OSError as error:
+        raise UsageError(f'--control {place}: {error.strerror or error}; '
+                         'give the path of a new file') from None
+    with server:
+        server.daemon_threads = True
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        try:
+            yield
+        finally:
+            server.shutdown()
+            with suppress(FileNotFoundError):
+                os.unlink(place)
+
+
+def _read_standard_input(command: Command) -> None:
+    while line := sys.stdin.buffer.readline(_LINE_MAX_BYTES):
+        answer = _answer(line, command)
+        if answer != 'ok':
+            print(f'fake_bus: {answer}', file=sys.stderr, flush=True)
+
+
+def _answer(line: bytes, command: Command) -> str:
+    try:
+        command(printable(line.decode(errors='replace').strip()))
+    except ParameterError as error:
+        return str(error)
+    return 'ok'
