@@ -138,9 +138,9 @@ def test_index_marker_and_share(prefix):
     share = prefix / 'share'
     assert (share / 'ament_index/resource_index/packages' / NAME).read_text() == ''
     assert (share / NAME / 'package.xml').read_bytes() == (ROOT / 'package.xml').read_bytes()
-    for folder, pattern in (('launch', '*.launch.py'), ('config', '*'), ('deploy', '*'),
-                            ('docs', '*.md'), ('firmware', '*')):
-        here = {path.name for path in (ROOT / folder).glob(pattern)}
+    for folder, *patterns in (('launch', '*.launch.py'), ('config', '*'), ('deploy', '*'),
+                            ('docs', '*.md', '*.json'), ('firmware', '*')):
+        here = {path.name for pattern in patterns for path in (ROOT / folder).glob(pattern)}
         there = {path.name for path in (share / NAME / folder).glob('*')}
         assert here ^ there <= {'__pycache__'}              # pip compiles what it installs
 

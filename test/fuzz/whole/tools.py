@@ -3,6 +3,7 @@
 """A case as a file, or as a port, through the mains of the tools."""
 
 from collections import Counter
+from contextlib import nullcontext
 from contextlib import redirect_stderr
 from contextlib import redirect_stdout
 import gzip
@@ -136,9 +137,9 @@ def run_doctor(case, path, chance):
 
 def run_replay(case, path, chance):
     with open(os.devnull, 'wb') as nowhere, patch.object(
-            replay, 'Pty', lambda link: SimpleNamespace(
+            replay, 'Pty', lambda link: nullcontext(SimpleNamespace(
                 is_open=True, link=None, path='/dev/pts/9', master=nowhere.fileno(),
-                let_go=lambda: None, close=lambda: None)), patch.object(
+                let_go=lambda: None))), patch.object(
             replay, 'time', SimpleNamespace(monotonic=lambda: 0.0, sleep=print_nothing)):
         options = chance.choice((['--speed', '0'], ['--side', 'out'], []))
         run_tool(replay, None, path, options, chance)
