@@ -113,6 +113,15 @@ def test_silence_stops_at_the_time_out_with_a_burst():
     assert not gate.driving
 
 
+def test_without_resending_the_burst_is_still_sent():
+    gate, now = opened(resend_rate=0.0)
+    sent = play(gate, now, now + 5 * SECOND, [(now, DRIVE)])
+    assert [frame.kind for _, frame in sent] \
+        == [FrameKind.COMMAND] + [FrameKind.STOP] * BURST_FRAMES
+    assert_burst(stops_of(sent))
+    assert gate.next_deadline(now + 5 * SECOND) == NEVER
+
+
 @pytest.mark.parametrize(('velocity', 'arguments', 'verdict'), [
     (Vel2d(math.nan, 0.0, 0.0), {}, Outcome.NOT_FINITE),
     (Vel2d(0.0, math.inf, 0.0), {}, Outcome.NOT_FINITE),

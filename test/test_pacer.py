@@ -11,6 +11,7 @@ from vel2d_bridge.gate import BURST_FRAMES
 from vel2d_bridge.gate import characters_ns
 from vel2d_bridge.gate import Gate
 from vel2d_bridge.gate import MILLISECOND as MS
+from vel2d_bridge.gate import NEVER
 from vel2d_bridge.gate import Outcome
 from vel2d_bridge.gate import SECOND
 from vel2d_bridge.gate import Stop
@@ -73,6 +74,14 @@ class World:
     @property
     def velocities(self):
         return [decode(data) for data in self.line.written]
+
+
+def test_nothing_happens_without_a_line():
+    pacer = Pacer(Gate(), lambda: START)
+    assert pacer.turn(START) == NEVER
+    assert pacer.turn(START + SECOND, True) == NEVER
+    assert pacer.offer_command(DRIVE, START) is Outcome.NO_PORT
+    assert (pacer.freezes, pacer.is_idle()) == (0, True)
 
 
 def test_a_thread_that_is_silent_for_200_ms_was_frozen():
@@ -156,6 +165,19 @@ def test_a_frame_that_does_not_leave_is_dropped_at_the_time_out_and_a_stop_follo
     world.run(50 * MS)
     assert world.velocities[1] == STOP
     assert world.sent[-1].stamp == drained
+
+
+def test_time_outs_in_a_row_are_counted_and_a_good_write_ends_the_row():
+    world = World()
+    world.line.takes = 0
+    for _ in range(3):
+        before = world.pacer.time_outs
+        while world.pacer.time_outs == before:
+            world.run(10 * MS)
+    assert world.pacer.time_outs_in_row == world.pacer.time_outs == 3
+    world.line.takes = FRAME_SIZE
+    world.run(100 * MS)
+    assert world.pacer.time_outs_in_row == 0
 
 
 def test_a_refused_write_is_tried_again_soon_but_not_busily():
