@@ -42,13 +42,6 @@ def bare_crc(wrapped: Callable[..., int]) -> tuple[Callable[[bytes, int, Any], i
 bare_crc16, CRC16_TABLE = bare_crc(crc16)
 
 
-def crc16_behind(head: bytes) -> Checksum:
-    """Return the CRC-16 of head and what follows it, as a function of what follows."""
-    after: Checksum = crcmod.mkCrcFun(
-        0x18005, initCrc=crc16(head), rev=False, xorOut=0)
-    return after
-
-
 def crc32_mpeg2_words(data: bytes) -> int:
     """
     CRC-32/MPEG-2 as an STM32 CRC unit gives it when fed little-endian 32-bit words.

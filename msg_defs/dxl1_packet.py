@@ -59,20 +59,10 @@ class Dxl1Framer(StreamFramer):
     header = HEADER
     has_other = True               # whether some frame of the last chunk is of the 1.0 family
 
-    def lacks(self) -> int:
-        """Return how many bytes the frame that waits for its end lacks, 0 if none waits."""
-        data = self._buffer
-        return data[3] + 4 - len(data) if len(data) > 3 else 0
-
-    def ends_with(self, tail: bytes) -> bool:
-        """Return whether the frame that waits for its end is good with these bytes at its end."""
-        return sum(self._buffer[2:]) + sum(tail) & 0xFF == 0xFF
-
-    def _ends_in(self, chunk: bytes) -> bool:
-        """Tell whether a chunk completes the frame that waits for its end."""
-        data = self._buffer + chunk
+    def is_whole(self, data: bytes) -> bool:
+        """Tell whether data begin with a whole good frame."""
         end = data[3] + 4 if len(data) > 3 else MAX_FRAME
-        return len(data) >= end and sum(data[2:end]) & 0xFF == 0xFF
+        return len(data) >= end >= MIN_LENGTH + 4 and sum(data[2:end]) & 0xFF == 0xFF
 
     def _scan(self, data: bytes, final: bool) -> Frames:
         find = data.find
@@ -99,7 +89,7 @@ class Dxl1Framer(StreamFramer):
                     and sum(data[mark + 2:end]) & 0xFF == 0xFF):
                 flaw = None
                 if mark != done or noisy:
-                    flaw = self._flaw(data[done:mark])
+                    flaw = self._flaw(data, done, mark)
                     noisy = 0
                 add_frame((base + mark, base + end, EITHER_1, number, data[mark + 4],
                            data[mark + 5:end - 1], flaw))
@@ -110,18 +100,25 @@ class Dxl1Framer(StreamFramer):
                 damaged += 1
                 mark = find(HEADER, mark + 1)
         self.packets += len(found) - damaged
-        undecided = size if final else _undecided(data, done, mark)
-        self._give_up(data[done:undecided])
+        undecided = size if final else self._undecided(data, done, mark)
+        self._give_up(data, done, undecided)
         self._buffer = data[undecided:]
         self._wanted = wanted - undecided
         return found
 
-    def _flaw(self, noise: bytes) -> Flaw:
+    def _flaw(self, data: bytes, done: int, mark: int) -> Flaw:
         """Return what is unusual about a good frame: noise in front of it."""
-        self._give_up(noise)
+        self._give_up(data, done, mark)
         flaw = ahead(False, self.noise_length)
         self.noise_length = 0
         return flaw
+
+    def _undecided(self, data: bytes, done: int, mark: int) -> int:
+        """Return where the bytes begin that may still become a frame."""
+        if mark >= 0:
+            return mark
+        size = len(data)
+        return size - 1 if size > done and data[size - 1] == 0xFF else size
 
     def _damaged(self, data: bytes, base: int, done: int, mark: int) -> Frame:
         """Count a frame that has a header and fails; its bytes are noise, and searched again."""
@@ -149,10 +146,3 @@ def _has_header(body: bytes) -> bool:
     return at >= 0 and (at + 3 >= len(body)
                         or (body[at + 2] != NO_ID and body[at + 3] >= MIN_LENGTH))
 
-
-def _undecided(data: bytes, done: int, mark: int) -> int:
-    """Return where the bytes begin that may still become a frame."""
-    if mark >= 0:
-        return mark
-    size = len(data)
-    return size - 1 if size > done and data[size - 1] == 0xFF else size

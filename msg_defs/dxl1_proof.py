@@ -18,9 +18,9 @@ PROOF_SINGLE_FRAMES = 16           # or so many in all, with fewer wrong ones th
 
 
 class Candidate(NamedTuple):
-    """A good frame with the form of the 1.0 family, and the chunk that it came in."""
+    """A good frame with the form of the 1.0 family, which waits, and the chunk that it came in."""
 
-    framer: Any                    # a MixedFramer
+    framer: Any                    # a MixedFramer, or one of the 1.0 family alone
     frame: Frame
     stamp: int
     received: int                  # stream offset after its chunk

@@ -15,9 +15,9 @@ from functools import partial
 from typing import NamedTuple
 
 from msg_defs.crc import crc16
-from msg_defs.dxl_packet import body_crc
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import HEADER
+from msg_defs.dxl_packet import HEADER_CRC
 
 
 class Instruction(IntEnum):
@@ -162,7 +162,7 @@ def split_combined(body: bytes, accesses: tuple[Access, ...]) -> list[Block]:
     blocks: list[Block] = []
     size = len(body) - 2
     covered = 0                    # bytes that crc covers, from the ID on
-    crc = body_crc(b'')
+    crc = HEADER_CRC
     for access in accesses:
         at = covered + (2 if covered else 4)
         end = at + 2 + access.length

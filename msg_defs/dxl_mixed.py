@@ -1,151 +1,168 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Both families on one wire: packets of Protocol 2.0 first, the 1.0 family in what is left.
+Which family a wire speaks, and its packets: 2.0 first, the 1.0 family where that is proven.
 
-A packet of 2.0 is certain (four bytes of header, 16 bits of CRC), so nothing of the 1.0 family is
-looked for inside one. The 1.0 family has one byte of sum, and one right sum proves little: what it
-finds is handed on as packets once Detector believes it; until then its bytes are noise, as they
-are on a bus without that family.
+A packet of 2.0 is certain (four bytes of header, 16 bits of CRC), so at first its framer runs
+alone, and only what that gives up as noise is searched for packets of the 1.0 family. That has one
+byte of sum, and one right sum proves little: what is found are packets once Detector believes it;
+until then its bytes are noise, as they are on a bus without that family. From the proof on one
+framer reads both, from left to right, until 2.0 alone was spoken for long.
 """
 
-from collections import Counter
+from operator import attrgetter
+from operator import itemgetter
 import re
-from typing import NamedTuple
 
-from msg_defs import dxl1_packet
+from msg_defs.dxl1_packet import Dxl1Framer
+from msg_defs.dxl1_packet import MIN_LENGTH
 from msg_defs.dxl1_proof import Candidate
 from msg_defs.dxl1_proof import Detector
 from msg_defs.dxl_packet import Framer
+from msg_defs.dxl_packet import MAX_LENGTH
+from msg_defs.dxl_packet import TAIL
 from msg_defs.event import OUT
 from msg_defs.frame import ahead
 from msg_defs.frame import EITHER_1
-from msg_defs.frame import Flaw
 from msg_defs.frame import Frame
 from msg_defs.frame import Frames
 from msg_defs.frame import GLITCH
 from msg_defs.frame import is_good
 from msg_defs.frame import UNPROVEN_1
 
-_TAIL = b'\xff\xfd\x00'
-# What may become a header of 2.0, or one with a damaged first byte, longest first.
-_BEGUN = (b'\xff\xff\xfd', b'\xff\xfd', b'\xff\xff', b'\xff')
-# FF FF, an ID and a LEN of the 1.0 family; and what the next bytes may complete to that.
+# FF FF, an ID and a LEN of the 1.0 family; or what the next bytes may complete to that.
 _HOLDS = re.compile(rb'\xff\xff[^\xff][^\0\1]')
-_ENDS = re.compile(rb'\xff(\xff[^\xff]?)?\Z')
-_ENDINGS = (b'\xff', b'\xff\xfd')  # a chunk that may go on as such a header
-_SHORT = 3                         # bytes that cannot hold one
-Data = bytes                       # the built-in, whose name MixedFramer.bytes takes
-# Where it begins in the stream, its bytes, whether a packet of 2.0 directly after it ends it.
-Gap = tuple[int, Data, bool]
+_MAY_HOLD = re.compile(rb'\xff(\xff([^\xff]([^\0\1]|\Z)|\Z)|\Z)')
+_BEGIN = re.compile(rb'\xff\xff(?!\xff)|\xff\xfd\0')   # either header, even damaged
+_BEGUN = b'\xff\xfd'                   # it may become the latter
+ALONE_PACKETS = 1000                   # in a row, 2.0 only: the 1.0 family is spoken no more
+_offset_of = itemgetter(0)
+Data = bytes                           # the built-in, whose name MixedFramer.bytes takes
 
 
-class _Run(NamedTuple):
-    """What the framer of the 1.0 family made of one gap."""
+class _BothFramer(Dxl1Framer):
+    """
+    The framer of the 1.0 family, which finds the packets of 2.0 as well.
 
-    at: int                        # where the gap begins in the stream
-    frames: Frames
-    noise_ahead: int               # bytes of noise after the last good one
+    Of two frames that overlap the first counts, but a whole one of 2.0 is no part of one of the
+    1.0 family that lacks its end, or has its sum by chance.
+    two: the framer of 2.0, which reads a frame once its place is known; None: 1.0 is all.
+    """
+
+    __slots__ = ('two',)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.two: Framer | None = None
+
+    def is_whole(self, data: bytes) -> bool:
+        """Tell whether data begin with a whole good frame."""
+        if self.two is not None and data.find(TAIL, 0, 4) >= 0:
+            return self.two.is_whole(data)
+        return super().is_whole(data)
+
+    def _undecided(self, data: bytes, done: int, mark: int) -> int:
+        if mark < 0 and self.two is not None and data.endswith(_BEGUN):
+            return max(done, len(data) - len(_BEGUN))
+        return super()._undecided(data, done, mark)
+
+    def _scan(self, data: bytes, final: bool) -> Frames:
+        if self.two is None:
+            return super()._scan(data, final)
+        found = self._scan_both(self.two, data, final) if TAIL in data \
+            else super()._scan(data, final)
+        self._wanted = 0               # a packet of 2.0 may come before that
+        return found
+
+    def _scan_both(self, two: Framer, data: bytes, final: bool) -> Frames:
+        size = len(data)
+        base = self.bytes - size
+        found = []
+        done = at = 0                  # all in front of it is decided; the search goes on there
+        while (begin := _BEGIN.search(data, at)) is not None:
+            mark = begin.start()
+            tail = data.find(TAIL, mark, mark + 4)
+            is_2 = tail >= 0
+            if (tail + 6 if is_2 else mark + 4) > size:
+                if not final:
+                    break
+                at = mark + 1
+                continue
+            if is_2:
+                length = data[tail + 4] | data[tail + 5] << 8
+                end = tail + 6 + length
+                is_possible = length <= MAX_LENGTH
+            else:
+                length = data[mark + 3]
+                end = mark + 4 + length
+                inner = data.find(TAIL, mark + 4, end + 2)
+                is_possible = length >= MIN_LENGTH and (
+                    inner < 0 or not two.is_whole(data[inner:]))
+            if is_possible and end > size and not final:
+                break
+            if is_possible and self.is_whole(data[mark:end]):
+                self._give_up(data, done, mark)
+                found.append(self._frame(two if is_2 else None, data[mark:end], base + mark))
+                done = at = end
+                continue
+            if not is_2:
+                found.append(self._damaged(data, base, done, mark))
+            elif tail > mark:
+                two.noise_length = self.noise_length
+                found.append(two._damaged(data, base, done, tail, length))
+            at = mark + 1
+        undecided = size if final else begin.start() if begin else self._undecided(data, done, -1)
+        self._give_up(data, done, undecided)
+        self._buffer = data[undecided:]
+        return found
+
+    def _frame(self, two: Framer | None, data: bytes, at: int) -> Frame:
+        """Return a whole frame, at this offset of the stream; two: the framer of 2.0, if it is."""
+        noise, self.noise_length = self.noise_length, 0
+        if two is None:
+            self.packets += 1
+            return (at, at + len(data), EITHER_1, data[2], data[4], data[5:-1],
+                    ahead(False, noise) if noise else None)
+        shift, two.noise_length = at - two.bytes, noise
+        [(begin, end, kind, number, code, params, flaw)] = two.frames(data)
+        return begin + shift, end + shift, kind, number, code, params, flaw
 
 
 class _GapFramer(Framer):
     """
-    The framer of 2.0, which keeps what it gives up as `gaps`.
+    The framer of 2.0, which has what it gives up searched by that of the 1.0 family.
 
-    is_shared: there is another family on the wire. Then it holds back as little as it can, and
-    a byte in front of a damaged header may be the sum of another packet: it is not taken.
-    keeps_all_gaps: every gap is kept, else only what may hold a packet of the 1.0 family.
-    noise_ahead: bytes of noise since the last good frame of either.
+    found: what that found. is_open: some bytes wait in it.
     """
 
-    __slots__ = ('gaps', 'is_shared', 'keeps_all_gaps', 'noise_ahead')
+    __slots__ = ('_one', 'found', 'is_open')
 
-    def __init__(self, is_shared: bool) -> None:
-        super().__init__()
-        self.gaps: list[Gap] = []
-        self.noise_ahead = 0
-        self.keeps_all_gaps = False
-        self.is_shared = is_shared
+    def __init__(self, one: Dxl1Framer, is_shared: bool) -> None:
+        super().__init__(is_shared)
+        self.found: Frames = []
+        self._one = one
+        self.is_open = False
 
-    def has_nothing(self) -> bool:
-        """Return whether no bytes wait, and no gap."""
-        return not self._buffer and not self.gaps
+    def _give_up(self, data: bytes, begin: int, end: int, is_ended: bool = False) -> None:
+        Framer._give_up(self, data, begin, end)        # super() costs more
+        one = self._one
+        if self.is_open or (
+                _HOLDS if is_ended else _MAY_HOLD).search(data, begin, end):
+            one.bytes = self.bytes - len(data) + begin
+            self.found += one.frames(data[begin:end])
+            self.is_open = one.pending > 0
+            if is_ended:
+                self.end_gap()
+        elif not is_ended:
+            one.noise_length += end - begin
+        if is_ended:
+            one.noise_length = 0
 
-    def pass_over(self, noise: bytes) -> int:
-        """Give up a chunk that has nothing of 2.0; return the stream offset after it."""
-        self.bytes += len(noise)
-        self._give_up(noise)
-        return self.bytes
-
-    def peek(self, size: int) -> bytes:
-        """Return so many of the bytes that may begin a packet."""
-        return self._buffer[:size]
-
-    def drop(self, size: int) -> Frames:
-        """Give so many of these up: they belong to another packet. Return what follows."""
-        data = self._buffer
-        self._give_up(data[:size])
-        return self._scan(data[size:], False)
-
-    def _cut_off(self, chunk: bytes) -> Frames:
-        # Of a frame that waits and of what follows a pause, either may be of the other family.
-        if not self.is_shared or not chunk.startswith(dxl1_packet.HEADER) \
-                or self._ends_in(chunk):
-            return super()._cut_off(chunk)
-        self._is_interrupted = False
-        return self._scan(self._buffer, True)
-
-    def _flaw(self, data: bytes, done: int, mark: int) -> Flaw:
-        begin = mark - 1
-        is_repaired = mark == done or data[begin] != 0xFF
-        if is_repaired and (mark == done or self.is_shared):
-            begin = mark
-        gap = data[done:begin]
-        if self.gaps or self.keeps_all_gaps or (begin - done > _SHORT and _HOLDS.search(gap)):
-            self.gaps.append((self.bytes - len(data) + done, gap, True))
-        else:
-            self.noise_ahead = 0
-        if is_repaired:
-            self.repaired += 1
-        if gap:
-            self._give_up(gap)
-        flaw = ahead(is_repaired, self.noise_length)
-        self.noise_length = 0
-        return flaw
-
-    def _keep(self, data: bytes, done: int, undecided: int) -> None:
-        if self.is_shared and undecided < len(data):
-            undecided = self._begun(data, done, undecided)
-        if undecided > done:
-            gap = data[done:undecided]
-            if self.gaps or self.keeps_all_gaps or not _is_passed_over(gap, data[undecided:]):
-                self.gaps.append((self.bytes - len(data) + done, gap, False))
-            else:
-                self.noise_ahead += len(gap)
-            self._give_up(gap)
-        self._buffer = data[undecided:]
-
-    def _begun(self, data: bytes, done: int, undecided: int) -> int:
-        """Return where what may become a packet of 2.0 begins."""
-        mark = data.find(_TAIL, undecided)
-        if mark < 0:
-            return max(done, len(data) - next(
-                (len(one) for one in _BEGUN if data.endswith(one)), 0))
-        return undecided if data[undecided] == 0xFF else mark
-
-
-def _is_passed_over(gap: Data, following: Data) -> bool:
-    """
-    Return whether a gap neither holds a packet of the 1.0 family nor ends in a begin of one.
-
-    following: what is known of the bytes after it, perhaps nothing.
-    """
-    if len(gap) > _SHORT and _HOLDS.search(gap):
-        return False
-    end = gap[-_SHORT:]
-    if 0xFF not in end or not _ENDS.search(end):
-        return True
-    return len(following) >= _SHORT and not _HOLDS.search(end + following[:_SHORT])
+    def end_gap(self) -> None:
+        """Decide what is left of a gap: a packet of 2.0 follows, or silence."""
+        if self.is_open:
+            self.found += self._one.flush_frames()
+            self.is_open = False
 
 
 class MixedFramer:
@@ -153,131 +170,132 @@ class MixedFramer:
     Finds the packets of both families, with the interface of Framer.
 
     Good frames of the 1.0 family are packets, damaged ones may be noise: they are handed on once
-    something is proven, or when they come with a good one. is_shared: hold back no end of a
-    packet, not even at first; its time matters. stamp, side: of the chunk that comes next.
+    something is proven. stamp, side: of the chunk that comes next.
     """
 
-    __slots__ = ('_claimed_bytes', '_damaged', '_detector', '_first', '_is_open', '_second',
-                 '_seen', '_shift', 'bytes', 'claimed', 'has_other', 'held', 'side', 'stamp')
+    __slots__ = ('_claimed', '_claimed_bytes', '_detector', '_first_alone', '_is_2_alone', '_one',
+                 '_two', 'bytes', 'has_other', 'held', 'side', 'stamp')
 
-    def __init__(self, detector: Detector, is_shared: bool = False, side: str = '') -> None:
-        self._second = dxl1_packet.Dxl1Framer()
-        self._first = _GapFramer(is_shared)
+    def __init__(self, detector: Detector, side: str = '') -> None:
+        self._one = _BothFramer()
+        self._two = _GapFramer(self._one, bool(side))
         self._detector = detector
-        self._is_open = False          # some bytes wait in the second framer
-        self._seen = 0                 # good frames of the second framer so far
-        self._shift = 0                # from offsets of the second framer to those of the wire
-        self.bytes = 0
+        self._claimed = 0              # packets of the 1.0 family
         self._claimed_bytes = 0
-        self._damaged: Counter[str] = Counter()
-        self.claimed = 0               # packets of the 1.0 family
+        self._is_2_alone = False       # again, after both were
+        self._first_alone = 0          # packets of 2.0 when the last of the 1.0 family came
+        self.bytes = 0
         self.held = 0                  # bytes of frames that are not decided on
         self.has_other = False         # a frame of the 1.0 family is held, or was in this chunk
         self.stamp = 0
         self.side = side
 
+    # Of 2.0: the classifier counts the damage of the other family.
+    repaired = property(attrgetter('_two.repaired'))
+    crc_errors = property(attrgetter('_two.crc_errors'))
+    truncated = property(attrgetter('_two.truncated'))
+    bad_length = property(attrgetter('_two.bad_length'))
+
     @property
     def packets(self) -> int:
-        return self._first.packets + self.claimed
+        return self._two.packets + self._claimed
 
     @property
     def has_first(self) -> bool:
         """Whether there were packets of 2.0 on this wire."""
-        return self._first.packets > 0
-
-    @property
-    def repaired(self) -> int:
-        return self._first.repaired
-
-    @property
-    def crc_errors(self) -> int:
-        return self._first.crc_errors + self._damaged['crc']
-
-    @property
-    def truncated(self) -> int:
-        return self._first.truncated + self._damaged['cut']
-
-    @property
-    def bad_length(self) -> int:
-        return self._first.bad_length + self._damaged['length']
+        return self._two.packets > 0
 
     @property
     def pending(self) -> int:
         """Bytes received and not decided yet."""
-        return self._first.pending + self._second.pending + self.held
+        return self._two.pending + self._one.pending + self.held
 
     @property
     def noise_bytes(self) -> int:
-        return self._first.noise_bytes - self._second.pending - self._claimed_bytes - self.held
+        return (self.bytes - self._two.bytes + self._two.noise_bytes - self._one.pending
+                - self._claimed_bytes - self.held)
 
     @property
     def packet_bytes(self) -> int:
         """Bytes that belong to a packet."""
-        return self._first.packet_bytes + self._claimed_bytes
+        return self._two.packet_bytes + self._claimed_bytes
 
     @property
     def noise(self) -> Data:
         """The last of the noise."""
-        return self._second.noise if self.claimed else self._first.noise
+        return self._two.noise if self._one.two is None else self._one.noise
 
     @property
     def noise_length(self) -> int:
         """Bytes of noise since the last good frame of either family."""
-        return self._first.noise_ahead
+        return self._one.noise_length
 
     @property
     def wrong(self) -> int:
         """How many candidates of the 1.0 family failed; of random ones 255 in 256 do."""
-        return self._second.crc_errors + self._second.truncated
+        return self._one.crc_errors + self._one.truncated
 
     def claim(self, frame: Frame) -> None:
         """Count a good frame of the 1.0 family as a packet."""
         self._detector.proven.add(frame[3])
-        self.claimed += 1
-        self._first.is_shared = True
+        self._is_2_alone = False
+        self._first_alone = self._two.packets
+        self._claimed += 1
         self._claimed_bytes += frame[1] - frame[0]
 
     def interrupt(self) -> None:
         """Take note of a pause: on the line, or in the delivery of what was on the line."""
-        self._first.interrupt()
-        self._second.interrupt()
+        self._two.interrupt()
+        self._one.interrupt()
 
     def frames(self, chunk: Data) -> Frames:
         """Return what this chunk completes, in the order of the wire."""
-        first = self._first
-        begin, proven = first.bytes, self._detector.proven
-        if proven or self._is_open or first.keeps_all_gaps:
-            self._check_each_gap()
-        self.has_other = self.held > 0
-        if (proven and first.is_shared and _TAIL not in chunk and not chunk.endswith(_ENDINGS)
-                and first.has_nothing()):
-            self.bytes = first.pass_over(chunk)    # no packet of 2.0 begins, goes on or ends in it
-            found = self._search_gap(begin, chunk)
-        else:
-            found = first.frames(chunk)
-            self.bytes = first.bytes
-            if first.gaps or self._is_open:
-                found = self._insert_other(found)
-        return self._mark_unproven(found, self.side == OUT and (begin, self.bytes)) \
-            if self.has_other else found
+        if self._detector.proven and not self._is_2_alone:
+            return self._frames_of_both(chunk)
+        two = self._two
+        found = two.frames(chunk)
+        self.bytes = two.bytes
+        if two.found or self.held:
+            return self._insert_candidates(found, len(chunk))
+        self.has_other = False
+        return found
 
     def flush_frames(self) -> Frames:
         """Decide what is left, because the line is idle."""
-        self._check_each_gap()
-        found = self._first.flush_frames()
-        self.has_other = self.held > 0
-        if self._first.gaps or self._is_open:
-            found = self._insert_other(found)
-        if self._is_open:
-            found = self._drop_inner_damage(found + self._end_gap())
-        return self._mark_unproven(found)
+        if self._detector.proven and not self._is_2_alone:
+            return self._frames_of_both(b'') + self._mark_unproven(self._one.flush_frames(), 0)
+        found = self._two.flush_frames()
+        self._two.end_gap()
+        return self._insert_candidates(found, 0)
 
-    def _check_each_gap(self) -> None:
-        """Have each gap looked at, if any may belong to a packet of the 1.0 family."""
-        self._first.keeps_all_gaps = self._is_open or bool(self._detector.proven)
+    def _frames_of_both(self, chunk: Data) -> Frames:
+        one, two = self._one, self._two
+        if one.two is None:
+            one.take_over(two)
+            one.two, two.is_open = two, False
+            self._first_alone = two.packets
+        found = one.frames(chunk)
+        self.bytes = one.bytes
+        if two.packets > self._first_alone + ALONE_PACKETS:
+            self._is_2_alone, one.two = True, None
+            before = two.bytes
+            two.take_over(one)
+            two.noise_bytes += one.bytes - before      # or it was of the 1.0 family
+            two.noise_length = one.noise_length
+        self.has_other = self.held > 0 or bool(found)
+        return self._mark_unproven(found, len(chunk)) if self.has_other else found
 
-    def _mark_unproven(self, found: Frames, whole: object = None) -> Frames:
-        """Mark frames of the 1.0 family that are no packets; whole: what was written at once."""
+    def _insert_candidates(self, found: Frames, size: int) -> Frames:
+        """Put what may be packets of the 1.0 family where it was, in front of those of 2.0."""
+        candidates, self._two.found = [*filter(is_good, self._two.found)], []
+        self.has_other = self.held > 0 or bool(candidates)
+        if not self.has_other:
+            return found
+        return self._mark_unproven(sorted(found + candidates, key=_offset_of), size)
+
+    def _mark_unproven(self, found: Frames, size: int) -> Frames:
+        """Mark frames of the 1.0 family that are no packets; size: of the chunk."""
+        written = self.side == OUT and (self.bytes - size, self.bytes)
         detector, proven = self._detector, self._detector.proven
         detector.proof = []
         for at, frame in enumerate(found):
@@ -291,111 +309,9 @@ class MixedFramer:
                 continue
             else:
                 one = Candidate(self, frame, self.stamp, self.bytes, self.side)
-                is_one = detector.add_candidate(one, (begin, end) == whole)
+                is_one = detector.add_candidate(one, (begin, end) == written)
             if not is_one:
                 found[at] = begin, end, UNPROVEN_1, number, code, content, flaw
         if detector.streak and self.noise_length > GLITCH:
             detector.reject_streak()
         return found
-
-    def _insert_other(self, found: Frames) -> Frames:
-        """Put the frames of the other family where they were, in front of those of 2.0."""
-        runs = self._search_gaps()
-        mixed = self._merge_runs(found, runs) if self.has_other or self.claimed else found
-        if self._is_open and self._first.is_shared and self._first.pending:
-            mixed = mixed + self._complete_packet()
-        return self._drop_inner_damage(mixed)
-
-    def _search_gaps(self) -> list[_Run]:
-        """Look through the gaps, as long as nothing is proven only where a packet may be."""
-        first = self._first
-        runs = []
-        for at, data, is_ended in first.gaps:
-            if (self._is_open or self._detector.proven or _HOLDS.search(data)
-                    or not (is_ended or _is_passed_over(data, b''))):
-                frames = self._search_gap(at, data) if data else []
-                if is_ended and self._is_open:
-                    frames += self._end_gap()
-                runs.append(_Run(at, frames, first.noise_ahead))
-            elif not is_ended:
-                first.noise_ahead += len(data)
-            if is_ended:
-                first.noise_ahead = 0
-        first.gaps.clear()
-        return runs
-
-    def _search_gap(self, at: int, data: Data) -> Frames:
-        """Return what is in a gap, or ends in it."""
-        self._shift = at - self._second.bytes
-        self._second.noise_length = self._first.noise_ahead
-        return self._shift_frames(self._second.frames(data))
-
-    def _merge_runs(self, found: Frames, runs: list[_Run]) -> Frames:
-        """Put what was in the gaps in front of the packets of 2.0 that ended them."""
-        mixed: Frames = []
-        left = iter(runs)
-        run = next(left, None)
-        for frame in found:
-            begin, end, kind, number, code, data, flaw = frame
-            if flaw is not None and not flaw.reason:
-                noise = 0
-                while run is not None and run.at <= begin + 1:
-                    mixed += run.frames
-                    noise = run.noise_ahead
-                    run = next(left, None)
-                if self.claimed:       # the noise in front is without what the gap held
-                    flaw = ahead(flaw.repaired, noise, flaw.unstuffed)
-                    frame = begin, end, kind, number, code, data, flaw if any(flaw) else None
-            mixed.append(frame)
-        while run is not None:
-            mixed += run.frames
-            run = next(left, None)
-        return mixed
-
-    def _complete_packet(self) -> Frames:
-        """Decide a packet whose last bytes might begin one of 2.0, if its sum is right."""
-        first, second = self._first, self._second
-        first.keeps_all_gaps = True
-        lacks = second.lacks()
-        tail = first.peek(lacks)
-        if not lacks or len(tail) < lacks or not second.ends_with(tail):
-            return []
-        return self._search_gap(first.bytes - first.pending, tail) \
-            + self._insert_other(first.drop(lacks))
-
-    def _drop_inner_damage(self, mixed: Frames) -> Frames:
-        """Leave out what only looks like a damaged packet of 2.0: the data of another packet."""
-        if not self.claimed or not any(frame[2] < EITHER_1 for frame in mixed):
-            return mixed
-        good = [frame[:2] for frame in mixed if frame[2] == EITHER_1 and is_good(frame)]
-        kept = []
-        for frame in mixed:
-            flaw = frame[6]
-            if flaw is not None and flaw.reason and frame[2] != EITHER_1 and any(
-                    first < frame[0] + 4 < last for first, last in good):
-                self._damaged[flaw.reason] -= 1
-            else:
-                kept.append(frame)
-        return kept
-
-    def _end_gap(self) -> Frames:
-        """Decide what is left of a gap: a packet of 2.0 follows, or silence."""
-        if not self._is_open:
-            return []
-        self._second.noise_length = self._first.noise_ahead
-        return self._shift_frames(self._second.flush_frames())
-
-    def _shift_frames(self, frames: Frames) -> Frames:
-        """Return frames of the second framer as they stand in the stream."""
-        self._first.noise_ahead = self._second.noise_length
-        self._is_open = self._second.pending > 0
-        if not frames:
-            return frames
-        if self._second.packets > self._seen or self._detector.proven:
-            self._seen = self._second.packets
-            self.has_other = True
-        if not self.has_other:
-            return []
-        shift = self._shift
-        return [(begin + shift, end + shift, kind, number, code, content, flaw)
-                for begin, end, kind, number, code, content, flaw in frames]

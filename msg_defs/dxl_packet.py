@@ -10,12 +10,14 @@ what it sends. Only a failed CRC, or flush_frames() on an idle line, searches on
 Nothing on the wire raises; every byte ends as a packet byte or as a noise byte.
 """
 
+from __future__ import annotations
+
+import re
 from struct import Struct
 from typing import NamedTuple
 
 from msg_defs.crc import bare_crc16
 from msg_defs.crc import crc16
-from msg_defs.crc import crc16_behind
 from msg_defs.crc import CRC16_TABLE
 from msg_defs.frame import ahead
 from msg_defs.frame import Flaw
@@ -30,10 +32,10 @@ STATUS = 0x55
 MAX_LENGTH = 1024                  # in the Length field: the buffer of most devices, and the SDK's
 MAX_FRAME = MAX_LENGTH + 7
 
-_TAIL = HEADER[1:]                 # what a header has left when the line turned round too late
-body_crc = crc16_behind(HEADER)    # CRC of a frame from its ID on: the header is taken as good
+TAIL = HEADER[1:]                  # what a header has left when the line turned round too late
 HEADER_CRC = crc16(HEADER)
 _RUN = b'\xff\xff\xfd'
+_BEGUN = re.compile(rb'\xff\xff?\xfd?\Z')     # it may become a header
 _crc_at = Struct('<H').unpack_from
 # The header as a number, ID, Length, instruction, error. Single bytes and searches cost more.
 _head_at = Struct('<IBHBB').unpack_from
@@ -51,6 +53,11 @@ class Packet(NamedTuple):
     error: int | None              # in a status, alert bit included
     params: bytes                  # unstuffed
     repaired: bool                 # the first header byte was missing or wrong
+
+
+def body_crc(body: bytes) -> int:
+    """Return the CRC of a frame from its ID on: the header is taken as good."""
+    return crc16(body, HEADER_CRC)
 
 
 def stuff(data: bytes) -> bytes:
@@ -100,7 +107,7 @@ class StreamFramer:
     """
     What the framers of all protocols share: chunks of any size, bytes counted, pauses.
 
-    A protocol adds its header, _scan() and _ends_in(). stamp: of the chunk that comes next.
+    A protocol adds its header, _scan() and is_whole(). stamp: of the chunk that comes next.
     """
 
     __slots__ = ('_buffer', '_is_interrupted', '_wanted', 'bad_length', 'bytes', 'crc_errors',
@@ -157,9 +164,18 @@ class StreamFramer:
     def _cut_off(self, chunk: bytes) -> Frames:
         """Decide what is pending, if this chunk after a pause does not go on with it."""
         self._is_interrupted = False
-        if not chunk.startswith(self.header) or self._ends_in(chunk):
+        if not chunk.startswith(self.header) or self.is_whole(self._buffer + chunk):
             return []
         return self._scan(self._buffer, True)
+
+    def take_over(self, other: StreamFramer) -> None:
+        """Go on where another framer is, with what that has not decided."""
+        data, other._buffer = other._buffer, b''
+        self.bytes = other.bytes
+        other.bytes -= len(data)
+        self._buffer += data
+        self._is_interrupted |= other._is_interrupted
+        self._wanted = 0
 
     def flush_frames(self) -> Frames:
         """Decide what is left, because the line is idle; as frames()."""
@@ -170,33 +186,43 @@ class StreamFramer:
         """Return the frames in the buffer and what follows it; final: no more will come."""
         raise NotImplementedError
 
-    def _ends_in(self, chunk: bytes) -> bool:
-        """Tell whether a chunk completes the frame that waits for its end."""
+    def is_whole(self, data: bytes) -> bool:
+        """Tell whether data begin with a whole good frame."""
         raise NotImplementedError
 
-    def _give_up(self, noise: bytes) -> None:
-        if noise:
-            size = len(noise)
-            self.noise_bytes += size
-            self.noise_length += size
-            self.noise = (self.noise + noise)[-NOISE_KEPT:]
+    def _give_up(self, data: bytes, begin: int, end: int, is_ended: bool = False) -> None:
+        """Count noise; is_ended: a good frame follows."""
+        if begin < end:
+            self.noise_bytes += end - begin
+            self.noise_length += end - begin
+            self.noise = (self.noise + data[begin:end])[-NOISE_KEPT:]
 
 
 class Framer(StreamFramer):
-    """Finds the frames of Protocol 2.0 in a stream that comes in chunks of any size."""
+    """
+    Finds the frames of Protocol 2.0 in a stream that comes in chunks of any size.
 
-    __slots__ = ()
+    is_shared: a byte in front of a damaged header may be of another packet: it is not taken, and
+    no end of a packet is held back for it.
+    """
+
+    __slots__ = ('is_shared',)
     header = HEADER
     has_other = False              # whether some frame of the last chunk is of the 1.0 family
 
-    def _ends_in(self, chunk: bytes) -> bool:
-        """Tell whether a chunk completes the frame that waits for its end."""
-        data = self._buffer + chunk
-        mark = data.find(_TAIL)
-        if not 0 <= mark < len(data) - 5:
+    def __init__(self, is_shared: bool = False) -> None:
+        super().__init__()
+        self.is_shared = is_shared
+
+    def is_whole(self, data: bytes) -> bool:
+        """Tell whether data begin with a whole good frame, its header perhaps damaged."""
+        mark = data.find(TAIL)
+        if not 0 <= mark < len(data) - 6:
             return False
-        end = mark + 6 + (data[mark + 4] | data[mark + 5] << 8)
-        return mark + 8 < end <= len(data) \
+        length = data[mark + 4] | data[mark + 5] << 8
+        end = mark + 6 + length
+        return end <= len(data) and length <= MAX_LENGTH \
+            and length > (3 if data[mark + 6] == STATUS else 2) \
             and body_crc(data[mark + 3:end - 2]) == data[end - 2] | data[end - 1] << 8
 
     def _scan(self, data: bytes, final: bool) -> Frames:
@@ -214,7 +240,7 @@ class Framer(StreamFramer):
         sought = 0                 # else it is searched for from here
         judged = size - 5 if final else size - 6       # with its instruction, if that may come
         heads = b'\0%b\0\0' % data    # the first header may begin too late, the last end too early
-        while mark < judged or 0 <= (mark := data.find(_TAIL, sought)) < judged:
+        while mark < judged or 0 <= (mark := data.find(TAIL, sought)) < judged:
             head, number, length, code, error = _head_at(heads, mark)
             if head != _WHOLE:
                 is_flawed = True
@@ -252,16 +278,27 @@ class Framer(StreamFramer):
         self.packets += count
         if not is_usual or data.count(_RUN, 0, done) != count:      # one in each header
             found = [_without_stuffing(frame) for frame in found]
-        start = mark - 1 if mark >= 0 else size - len(_TAIL)       # it may still become a frame
-        self._keep(data, done, size if final else max(done, start))
-        self._wanted = wanted - (size - len(self._buffer))
+        undecided = size if final or done == size \
+            else self._undecided(data, done, mark)
+        if undecided > done:
+            self._give_up(data, done, undecided)
+        self._buffer = data[undecided:]
+        self._wanted = wanted - undecided
         return found
+
+    def _undecided(self, data: bytes, done: int, mark: int) -> int:
+        """Return where the bytes begin that may still become a frame."""
+        size = len(data)
+        if mark < 0 and self.is_shared:
+            begun = _BEGUN.search(data, max(done, size - len(TAIL)))
+            return begun.start() if begun else size
+        return max(done, mark - 1 if mark >= 0 else size - len(TAIL))
 
     def _flaw(self, data: bytes, done: int, mark: int) -> Flaw:
         """Return what is unusual about a good frame: noise in front of it, a damaged header."""
         repaired = mark == done or data[mark - 1] != 0xFF
         self.repaired += repaired
-        self._give_up(data[done:max(done, mark - 1)])
+        self._give_up(data, done, mark - 1 + (repaired and self.is_shared), True)
         flaw = ahead(repaired, self.noise_length)
         self.noise_length = 0
         return flaw
@@ -285,11 +322,6 @@ class Framer(StreamFramer):
         flaw = Flaw(reason, noise_length=self.noise_length + mark - 1 - done, length=length)
         return (begin, begin + 4 + len(body), IS_STATUS if code == STATUS else INSTRUCTION_2,
                 body[0], code, body, flaw)
-
-    def _keep(self, data: bytes, done: int, undecided: int) -> None:
-        if undecided > done:
-            self._give_up(data[done:undecided])
-        self._buffer = data[undecided:]
 
 
 def _without_stuffing(frame: Frame) -> Frame:

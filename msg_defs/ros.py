@@ -85,8 +85,7 @@ def slices(statuses: Sequence[Status]) -> list[list[Status]]:
     cut: its slice may be larger.
     """
     sizes = [_size(status) for status in statuses]
-    count = max(-(-len(statuses) // STATUSES_PER_MESSAGE),
-                -(-sum(min(size, BYTES_PER_MESSAGE) for size in sizes) // BYTES_PER_MESSAGE))
+    count = -(-len(statuses) // STATUSES_PER_MESSAGE)
     cuts = _cuts(len(statuses), count)
     while any(_is_too_large(sizes[begin:end]) for begin, end in pairwise(cuts)):
         count += 1

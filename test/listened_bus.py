@@ -17,7 +17,6 @@ from servobus.sources.listener import Listener
 
 BAUD = 1_000_000
 MODELS = Models()
-DEADLINE_S = 20.0
 PATIENCE_MS = 1000                 # for a client on a machine that may be slow
 
 

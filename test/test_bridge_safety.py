@@ -497,32 +497,6 @@ def test_what_waited_during_a_freeze_does_not_drive():
     assert world.moving                              # by new commands
 
 
-def test_a_stuck_line_is_flushed_then_stopped_after_a_gap():
-    world = drive()
-    world.run(world.now + 5 * MS, [])
-    world.uart.stalled_until = world.now + 200 * MS
-    world.command_at = NEVER
-    world.run(world.now + 400 * MS, [])
-    assert world.pacer.time_outs >= 1
-    assert world.pacer.gate.counters.stops[Stop.WRITE] == world.pacer.time_outs
-    assert not world.moving
-    assert world.mcu.totals.crc_err == 0
-
-
-def test_a_partial_write_is_never_completed():
-    world = drive()
-    before = len(world.mcu.arrivals)
-    world.uart.cut = 11
-    world.command_at = NEVER
-    world.run(world.now + 400 * MS, [])
-    sizes = [arrival.size for arrival in list(world.mcu.arrivals)[before:]]
-    assert sizes.count(11) == 1
-    assert set(sizes) == {11, FRAME_SIZE}
-    assert world.pacer.partial_writes == 1
-    following = list(world.mcu.arrivals)[before + sizes.index(11) + 1]
-    assert following.velocity == STOP
-
-
 def test_frames_are_never_closer_than_a_gap():
     for seed in range(400):
         world = history(seed)

@@ -192,18 +192,6 @@ def test_an_mcu_that_accepts_stops_only(receiver, crc, is_refused):
     assert mcu.log.refused_drives(at, 'words') == []
 
 
-def test_an_mcu_that_is_flashed_again_drives_without_a_warning():
-    mcu = SimpleNamespace(log=McuLog(), receiver=Receiver(crc=crc32_mpeg2_words))
-    drive = Vel2d(0.5, -0.25, 1.0)
-    at = send(mcu, drive, 2000, SECOND)
-    assert mcu.log.refused_drives(at, 'words')
-    mcu.receiver = Receiver(at, crc=crc32_mpeg2)
-    for _ in range(20):
-        at = send(mcu, drive, 20, at)
-        refused = mcu.log.refused_drives(at, 'words')
-    assert refused == []
-
-
 def test_a_bad_cable_is_not_the_crc_input():
     """Every third frame is damaged."""
     mcu = McuLog()

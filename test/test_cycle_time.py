@@ -56,10 +56,6 @@ def sync_read(dead=()):
     return first_ids(0x82, words(132, 4) + bytes(SIX), dead)
 
 
-def write(number):
-    return encode(number, 3, words(116) + POSITION), [(number, reply(number))]
-
-
 SYNC_WRITE = encode(0xFE, 0x83, words(116, 4) + b''.join(
     bytes((number,)) + POSITION for number in SIX)), []
 # What a master asks in a cycle: instruction, answers; dead: IDs that do not answer.

@@ -71,7 +71,7 @@ def test_what_is_concluded(name):
         assert {**dict(finding.evidence), **row.get('figures', {})} == dict(finding.evidence)
 
 
-DYNAMIXEL_1, FEETECH = b'\x24\x02', b'\x38\x02'          # reads of each
+FEETECH = b'\x38\x02'          # a read
 
 
 def mixed(of_2, of_1, what, turns=100):

@@ -26,7 +26,6 @@ from msg_defs.uart import heard_at
 from rigs.tables import rows_of
 from servobus.bus import evidence as ev
 from servobus.bus import report as words
-from servobus.bus.report import Counts
 from servobus.bus.report import LineErrors
 from servobus.bus.report import Wait
 from servobus.doctor.case import History
@@ -64,19 +63,8 @@ def every(gaps_ms, number=1, code=I.READ):
     return asks(code, number, stamps=stamps)
 
 
-ANSWERS = {'totals': {'answers': 9, 'reads': 600}, 'window': {'answers': 9}}
-
 READ_OF_3 = encode(3, I.READ, b'\x84\0\4\0')
 CUT_IN = bytes(len(READ_OF_3) - 6) + READ_OF_3[-6:]            # a question that ran into an answer
-
-
-def test_as_many_gaps_as_there_is_room_for_are_the_latency_timer():
-    """As many gaps within a second as 16 ms each leave room for, most of them such."""
-    full = [NOW - sum(([16 * MS] * 42 + [11 * MS] * 28)[:n]) for n in reversed(range(71))]
-    cycles = asks(I.READ, 1, stamps=full[::2]), asks(I.READ, 2, stamps=full[1::2])
-    [claim] = told('latency_timer', cycles=cycles)
-    assert claim.evidence == (('16 ms later', '42 of 70'),)
-    assert told('latency_timer', cycles=(*cycles, asks(I.READ, 3, stamps=(NOW - S + 1,)))) == []
 
 
 # --- what it cannot tell ---------------------------------------------------------------------
@@ -93,15 +81,6 @@ def test_what_cannot_be_told_is_said(row):
     assert doubt.step.startswith(step := parts.get('step', '')) and bool(doubt.step) == bool(step)
     for less in too_little:
         assert told(rule, **{**found, **less}) == [], less
-
-
-def test_a_return_delay_that_is_read_as_none_is_not_doubted():
-    one = device(registers={'Return Delay Time': 0}, **ANSWERS)
-    assert told('return_delay', devices=[one]) == []
-
-
-def test_what_is_noted_of_an_id_that_is_no_device_is_not_told_of_one():
-    assert told('foreign_answers', notes=note(ev.UNASKED, ev.NOTHING, 3, 9)) == []
 
 
 # --- words -----------------------------------------------------------------------------------
@@ -143,13 +122,6 @@ def test_what_keeps_time(gaps, is_steady, is_even):
 
 def test_times_that_run_backwards_have_no_rhythm():
     assert not rhythms((every([20.0] * 20 + [-1.0]), every([-20.0] * 20)), NOW, 1_000_000)
-
-
-@pytest.mark.parametrize(('gaps', 'other', 'locked'), [
-    (20.0, 40.0, True), (20.0, 41.5, False), (20.0, 40.5, True), (20.0, 20.3, True)])
-def test_two_periods_that_fit_each_other(gaps, other, locked):
-    one, two = rhythms((every([gaps] * 30), every([other] * 15, 2)), NOW, 1_000_000)
-    assert is_locked(two, one) == locked
 
 
 def test_what_was_seen_for_a_short_time_is_taken_to_fit():
@@ -369,14 +341,6 @@ def test_a_goal_is_without_torque_where_it_was_sent_after_the_torque_went_off(of
 def test_the_count_of_so_long_ago_is_the_newest_that_is_old_enough():
     found = case(marks={10: {'bytes': 1}, 2: {'bytes': 2}, 1.9: {'bytes': 3}, 0: {'bytes': 4}})
     assert [found.mark(age).bytes for age in (60, 10, 2, 1.95, 0)] == [1, 1, 2, 2, 4]
-
-
-def test_what_happened_lately_to_a_device_is_counted_from_then_on():
-    one = device(totals={'answers': 9})
-    found = case(one, marks={3: {'totals': {1: Counts(answers=2)}},
-                             2: {'totals': {1: Counts(answers=5)}}})
-    assert [found.recent_counts(one, age).answers for age in (9, 3, 2.5, 2, 1)] == [7, 7, 7, 4, 4]
-    assert found.recent_counts(device(2, totals={'answers': 4}), 2).answers == 4
 
 
 def test_damage_has_gone_on_from_its_first_to_its_last():

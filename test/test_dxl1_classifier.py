@@ -13,6 +13,7 @@ import yaml
 
 from msg_defs.dxl1_packet import encode
 from msg_defs.dxl1_proof import Detector
+from msg_defs.dxl_mixed import ALONE_PACKETS
 from msg_defs.dxl_mixed import MixedFramer
 from msg_defs.dxl_packet import encode as encode_2
 from msg_defs.dxl_packet import Framer
@@ -291,6 +292,19 @@ def test_a_2_0_robot_with_one_servo_of_1_0():
     assert [one.rule for one in report.findings] == ['protocol_1']
 
 
+@pytest.mark.parametrize('size', [1, 14, 100, 4000])
+def test_the_framer_of_2_0_reads_alone_again_and_what_is_of_1_0_then_is_found(size):
+    count = ALONE_PACKETS
+    said = PING * 4 + (READ_2 + REPLY_2) * count + PING * 4 + READ_2 + REPLY_2
+    framer, alone = MixedFramer(Detector()), []
+    for at in range(0, len(said), size):
+        framer.frames(said[at:at + size])
+        alone.append(framer._is_2_alone)
+    framer.flush_frames()
+    assert any(alone) and not framer._is_2_alone
+    assert (framer.packets, framer.noise_bytes, framer.pending) == (2 * count + 10, 0, 0)
+
+
 def test_a_2_0_frame_is_never_searched():
     bus = Bus()
     inside = encode(9, 2, b'\x24\2') * 4
@@ -320,6 +334,7 @@ class Told(Detector):
 
     def __init__(self, believes_all):
         super().__init__()
+        self.proven.update({1} if believes_all else ())
         self._believes_all = believes_all
 
     def add_candidate(self, one, is_whole):
@@ -341,7 +356,7 @@ pieces = st.one_of(
        st.booleans())
 def test_any_split_of_mixed_traffic_gives_the_same(data, sizes, claimed):
     def feed(chunks):
-        framer = MixedFramer(Told(claimed), is_shared=claimed)
+        framer = MixedFramer(Told(claimed))
         found = []
         for chunk in chunks:
             found += framer.frames(chunk)
@@ -372,7 +387,7 @@ def test_the_packets_of_2_0_are_those_that_its_own_framer_finds(data):
 
 
 def test_a_packet_of_1_0_in_an_earlier_chunk_is_no_noise_in_front_of_one_of_2_0():
-    framer = MixedFramer(Told(True), is_shared=True)
+    framer = MixedFramer(Told(True))
     for chunk in (PING, PING + b'\0'):
         framer.frames(chunk)
     [frame] = framer.frames(READ_2)

@@ -21,7 +21,7 @@ from servobus.model.models import Models
 MODELS = Models()
 BAUD = 1_000_000
 S = 1_000_000_000
-TORQUE, LED, GOAL, POSITION, WATCHDOG = 64, 65, 116, 132, 98
+TORQUE, LED, GOAL, POSITION = 64, 65, 116, 132
 
 
 def make(number=1, name='XM430-W350', *, motion=None, return_delay=0, firmware=0):

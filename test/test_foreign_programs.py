@@ -30,7 +30,7 @@ from servobus.doctor.finding_log import BusSummary
 from servobus.doctor.finding_log import FindingLog
 from servobus.tools.doctor.verdict import make_verdict
 
-RATE, EMPTY = Change(BAUD, 1_000_000), Change(UNREAD, 0)
+EMPTY = Change(UNREAD, 0)
 
 
 def packet(number, *body):
@@ -76,16 +76,6 @@ def throws_the_rest_away():
         yield 0.1, '', Change(UNREAD, 15 * is_left)
         yield 0, '', Change(PURGED, 1)
         yield 0, '', EMPTY
-
-
-def twice(ms, servos=3):
-    """Read three servos in turn; of ID 2 there are two, or a master that is not heard."""
-    for turn in count():
-        number = 1 + turn % servos
-        yield 0.2, OUT, packet(number, 2, 56, 2)
-        if turn > 1 and number == 3:
-            yield ms, IN, packet(2, 0, 132, 3)
-        yield 9, IN, packet(number, 0, 0, 8)
 
 
 def written_first(*setup):

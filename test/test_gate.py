@@ -113,13 +113,6 @@ def test_silence_stops_at_the_time_out_with_a_burst():
     assert not gate.driving
 
 
-def test_time_out_zero_holds_for_ever():
-    gate, now = opened(cmd_vel_timeout=0.0)
-    sent = play(gate, now, now + 60 * SECOND, [(now, DRIVE)])
-    assert sent[-1][1].velocity == DRIVE
-    assert gate.counters.time_outs == 0
-
-
 def test_without_resending_the_burst_is_still_sent():
     gate, now = opened(resend_rate=0.0)
     sent = play(gate, now, now + 5 * SECOND, [(now, DRIVE)])
@@ -170,21 +163,6 @@ def rate_of_40(stamps):
     """Return the highest rate (Hz) that any 40 frames in a row had."""
     return max(39 * SECOND / (last - first)
                for first, last in zip(stamps, stamps[39:], strict=False))
-
-
-def test_a_resend_makes_way_for_a_command_and_the_rate_still_holds():
-    chance = random.Random(2)
-    gate, now = opened()
-    stamps, waits = [], []
-    for _ in range(300):
-        wait = 50 * MS + chance.randrange(-5 * MS, 5 * MS)     # teleop, as often as a resend
-        sent = play(gate, now, now + wait - 1, [(now, DRIVE)])
-        stamps += [stamp for stamp, _ in sent]
-        waits += [stamp - now for stamp, frame in sent if frame.kind is FrameKind.COMMAND]
-        now += wait
-    assert len(waits) == 300
-    assert max(waits) < 3 * MS
-    assert rate_of_40(stamps) <= 1.02 * 30
 
 
 @pytest.mark.parametrize('rate', [30.0, 100.0])
@@ -269,14 +247,6 @@ def test_any_40_frames_keep_to_the_rate(rate, resend, gaps):
     assert len(stamps) < 40 or rate_of_40(stamps) <= 1.02 * rate
 
 
-def test_rate_never_exceeds_what_the_baud_carries_with_a_gap():
-    gate = Gate(GateSettings(max_rate=400.0), baud=9600)
-    gate.opened(START)
-    offers = [(START + index * MS, Vel2d(1.0, index, 0.0)) for index in range(500)]
-    stamps = [stamp for stamp, _ in play(gate, START, START + SECOND, offers)]
-    assert min(after - before for before, after in pairwise(stamps)) >= 31_250_000
-
-
 def test_a_command_ends_a_burst_but_never_skips_the_stop():
     gate, now = opened()
     gate.stop(now, Stop.TYPE_SWITCH)
@@ -326,15 +296,6 @@ def test_after_a_freeze_what_waited_is_refused():
     assert gate.offer_command(DRIVE, now + 200 * MS) is Outcome.ACCEPTED
 
 
-def test_reopening_forgets_the_command():
-    gate, now = opened()
-    gate.offer_command(DRIVE, now)
-    gate.closed()
-    gate.opened(now + MS)
-    sent = play(gate, now + MS, now + SECOND)
-    assert all(frame.velocity == STOP for _, frame in sent)
-
-
 def test_settings_change_while_driving():
     gate, now = opened()
     gate.offer_command(DRIVE, now)
@@ -361,14 +322,6 @@ def test_a_lower_limit_holds_at_once_and_a_higher_one_from_the_next_command_on(r
     assert {frame.velocity for _, frame in play(gate, now + 10 * MS, now + 200 * MS)} <= {slower}
 
 
-def test_hold_keeps_everything_back():
-    gate, now = opened()
-    gate.stop(now, Stop.WRITE)
-    gate.hold(now + 77 * MS)
-    assert gate.next_frame(now + 76 * MS) is None
-    assert gate.next_frame(now + 77 * MS) == (STOP, FrameKind.STOP, None)
-
-
 finite = st.floats(allow_nan=False, allow_infinity=False)
 velocities = st.builds(Vel2d, finite, finite, finite)
 bounds = st.one_of(st.just(0.0), st.floats(1e-6, 1e6))
@@ -388,26 +341,6 @@ def test_limit_keeps_the_direction(velocity, limits):
     for part, before in zip(limited, velocity, strict=True):
         if biggest and longest > 1e-300:
             assert part / longest == pytest.approx(before / biggest, rel=1e-9, abs=1e-12)
-
-
-def test_limit_leaves_what_is_inside_exactly():
-    assert limit(DRIVE, STOP) == DRIVE
-    assert limit(DRIVE, Vel2d(0.5, 0.25, 1.0)) == DRIVE
-    assert limit(STOP, Vel2d(0.1, 0.1, 0.1)) == STOP
-
-
-def test_replaced_received_and_refused_add_up():
-    chance = random.Random(7)
-    gate, now = opened()
-    for _ in range(2000):
-        now += chance.randrange(60 * MS)
-        velocity = Vel2d(chance.choice([0.1, math.nan]), 0.0, chance.random())
-        gate.offer_command(velocity, now, waited=chance.choice([0, SECOND]))
-        play(gate, now, now)
-    counters = gate.counters
-    assert counters.received == 2000
-    assert counters.received == counters.accepted + sum(counters.refused.values())
-    assert 0 < counters.replaced < counters.accepted
 
 
 @pytest.mark.parametrize('longer', [10.0, 0.0])
@@ -465,21 +398,6 @@ def test_it_is_stopping_until_the_last_zero_is_out():
     assert gate.stopping
     play(gate, last, last)
     assert not gate.stopping
-
-
-def test_without_limits_any_speed_goes_through():
-    gate, now = opened()
-    fast = Vel2d(50.0, -40.0, 30.0)
-    gate.offer_command(fast, now)
-    assert gate.next_frame(now).velocity == fast
-    assert gate.counters.limited == 0
-
-
-def test_what_was_limited_is_counted():
-    gate, now = opened(max_linear_x=0.25)
-    gate.offer_command(DRIVE, now)
-    gate.offer_command(Vel2d(0.1, 0.0, 0.0), now)
-    assert gate.counters.limited == 1
 
 
 def test_a_command_behind_the_time_out_finds_it_noticed():
@@ -545,13 +463,6 @@ def test_a_freeze_that_is_noticed_late_does_not_shorten_what_a_suspension_refuse
     gate.stop(now, Stop.SUSPEND)
     gate.stop(now + 50 * MS, Stop.FROZEN)
     assert gate.offer_command(DRIVE, now + SECOND - 1) is Outcome.FROZEN
-
-
-def test_before_a_suspension_no_command_is_taken():
-    gate, now = opened()
-    gate.stop(now, Stop.SUSPEND)
-    assert gate.offer_command(DRIVE, now + 999 * MS) is Outcome.FROZEN
-    assert gate.offer_command(DRIVE, now + SECOND) is Outcome.ACCEPTED
 
 
 def test_what_nobody_sets_is_as_the_parameters_say():

@@ -8,6 +8,7 @@ import os
 import threading
 import time
 
+from harness import wait
 import pytest
 from terminal_server import TerminalServer
 
@@ -35,13 +36,6 @@ pytestmark = pytest.mark.realtime(bears=0.02)
 PATIENCE_S = 20
 TIOCGEXCL = 0x80045440
 DRIVE = Vel2d(0.5, -0.25, 1.0)
-
-
-def wait(condition):
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.002)
 
 
 @contextmanager

@@ -3,8 +3,6 @@
 """Listening to the port that the master itself uses: usb:, tap: and files of USB events."""
 
 import ctypes
-from functools import cache
-from itertools import groupby
 import json
 import os
 import socket
@@ -13,27 +11,19 @@ import sys
 import time
 
 import forked
-from harness import later
 from harness import wait
 import pytest
 from usb_files import events
-from usb_files import hear
 from usb_files import log
 from usb_files import ports_in
 from usb_files import REAL
 
-from mecarover_fakes.fake_bus import default_devices
 from mecarover_fakes.fake_bus import make_devices
-from mecarover_fakes.fake_bus import make_line
-from mecarover_fakes.fake_bus import PROTOCOLS
 from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.line import Line
-from mecarover_fakes.line import MASTER
 from mecarover_fakes.master import Master
-from mecarover_fakes.traffic import FAMILY_1
 from mecarover_fakes.traffic import PATTERNS
 from mecarover_fakes.usb_adapter import FakeAdapter
-from mecarover_fakes.usb_adapter import FAMILIES
 from mecarover_fakes.virtual_usb import VirtualUsb
 from msg_defs.event import IN
 from msg_defs.event import OUT
@@ -375,55 +365,3 @@ def test_the_only_adapter_of_a_file_is_read_though_it_carried_nothing(tmp_path):
     done = dump(file)
     assert (done.returncode, done.stdout) == (0, '')
     assert 'cut off' in done.stderr
-
-
-# What is said, as PROTOCOLS and PATTERNS name it; sizes of transfers, status bytes included.
-SCENES = [('2', name) for name in PATTERNS if name != 'none'] + [
-    (dialect, name) for dialect in FAMILY_1 for name in FAMILY_1[dialect] if name != 'none']
-SIZES = [*range(1, 67), 127, 128, 129, 510, 511, 512, 513, 1024]
-
-
-@cache
-def scene(dialect, pattern):
-    """Return the bursts of half a second, and what a monitor makes of them on a pty."""
-    told = next(name for name, protocol in PROTOCOLS.items() if protocol == dialect)
-    devices = make_devices(default_devices(pattern, told), MODELS, BAUD, dialect=told)
-    master = Master(make_line(devices, BAUD, told), PATTERNS[pattern], rate=50.0)
-    bursts = list(master.bursts(500_000_000))
-    plain = Monitor('bus', MODELS, Settings(BAUD, protocol=dialect))
-    for burst in bursts:
-        plain.feed(burst.data, burst.end)
-    return bursts, said_of(plain)
-
-
-def said_of(monitor):
-    report = monitor.report(3_000_000_000)
-    return report.counters, report.kinds, [
-        (one.id, one.totals, one.model_name, one.state) for one in report.devices]
-
-
-TURNS = [(family, turn) for family in FAMILIES for turn in range(7)]
-
-
-# In scripts/test each family has a seventh of the sizes, each another one.
-@pytest.mark.parametrize(('family', 'turn'), later(
-    TURNS, [(family, turn) for turn, family in enumerate(FAMILIES)]))
-def test_same_report_through_every_adapter_cut_at_every_size(family, turn):
-    """Each size once with each family, each scene at least three times: what the pty gives."""
-    for number, size in list(enumerate(SIZES))[turn::7]:
-        dialect, pattern = SCENES[number % len(SCENES)]
-        bursts, expected = scene(dialect, pattern)
-        adapter = FakeAdapter(family, size)
-        stream = adapter.plug(BEGAN) + adapter.set_baud(BAUD, BEGAN)
-        for is_master, some in groupby(bursts, lambda burst: burst.sender == MASTER):
-            said = list(some)
-            if is_master:
-                stream += b''.join(adapter.sent(one.data, BEGAN + one.start) for one in said)
-            else:                              # answers in a row are gathered, then cut
-                stream += adapter.received(b''.join(one.data for one in said),
-                                           BEGAN + said[-1].end)
-        usb = Monitor('bus', MODELS, Settings(BAUD, protocol=dialect))
-        heard = [one for one in hear(events(stream)) if one.data]
-        usb.feed_chunks([one._replace(stamp=one.stamp - BEGAN) for one in heard])
-        assert max(len(one.data) for one in heard if one.side == IN) <= size
-        assert said_of(usb) == expected, (dialect, pattern, size)

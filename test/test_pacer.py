@@ -9,7 +9,6 @@ from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 from vel2d_bridge.gate import BURST_FRAMES
 from vel2d_bridge.gate import characters_ns
-from vel2d_bridge.gate import FrameKind
 from vel2d_bridge.gate import Gate
 from vel2d_bridge.gate import MILLISECOND as MS
 from vel2d_bridge.gate import NEVER
@@ -83,18 +82,6 @@ def test_nothing_happens_without_a_line():
     assert pacer.turn(START + SECOND, True) == NEVER
     assert pacer.offer_command(DRIVE, START) is Outcome.NO_PORT
     assert (pacer.freezes, pacer.is_idle()) == (0, True)
-
-
-def test_a_command_is_one_write_and_is_told():
-    world = World()
-    begin = world.now
-    world.drive()
-    assert world.velocities == [DRIVE]
-    sent = world.sent[-1]
-    assert (sent.velocity, sent.kind, sent.stamp, sent.latency) \
-        == (DRIVE, FrameKind.COMMAND, begin, 0)
-    assert world.pacer.last == sent
-    assert world.pacer.freezes == 0
 
 
 def test_a_thread_that_is_silent_for_200_ms_was_frozen():

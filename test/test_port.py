@@ -331,23 +331,33 @@ sys.stdin.read()
         sandbox.stdin.close()
 
 
+MAKES = '_, near = os.openpty(); print(os.ttyname(near), flush=True)'
+OPENS = 'os.open(sys.argv[1], os.O_NOCTTY); print(flush=True)'
+
+
+@contextmanager
+def opened(path):
+    """Let another program have a port open."""
+    with pipes(OPENS, path) as other:
+        other.stdout.readline()
+        yield other
+
+
 def test_who_made_a_pty_is_in_the_way_only_where_there_is_no_other():
     """A simulated bus holds both ends of its own; 'in use by' names who else is there."""
-    makes = '_, near = os.openpty(); print(os.ttyname(near), flush=True)'
-    opens = 'os.open(sys.argv[1], os.O_NOCTTY); print(flush=True)'
+    def user():
+        reason = preflight.why_not(path, OSError(errno.EBUSY, 'busy')).reason
+        return int(re.fullmatch(r'in use by \S+ \(pid (\d+)\)', reason)[1])
 
-    def reason():
-        return preflight.why_not(path, OSError(errno.EBUSY, 'busy')).reason
-
-    with pipes(makes) as bus:
+    with pipes(MAKES) as bus:
         path = bus.stdout.readline().strip()
-        assert re.fullmatch(rf'in use by \S+ \(pid {bus.pid}\)', reason())
-        with pipes(opens, path) as other:
-            other.stdout.readline()
-            assert re.fullmatch(rf'in use by \S+ \(pid {other.pid}\)', reason())
-
-
-OPENS = 'os.open(sys.argv[1], os.O_NOCTTY); print(flush=True)'
+        assert user() == bus.pid
+        assert preflight.warnings(path) == []
+        with opened(path) as other:
+            assert user() == other.pid
+            [reason] = preflight.warnings(path)
+    assert reason.kind == 'busy'
+    assert re.fullmatch(rf'\S+ \(pid {other.pid}\) has it open too', reason.reason)
 
 
 def looked(inspection, opening, now_s):
@@ -362,8 +372,7 @@ def test_who_opens_a_port_beside_us_is_seen_at_once_and_gone_at_once():
         port = open_port(pty.path, 115200)
         inspection = Inspection(pty.path, [])
         assert looked(inspection, 1, 100.0) == []
-        with pipes(OPENS, pty.path) as other:
-            other.stdout.readline()
+        with opened(pty.path) as other:
             [line] = looked(inspection, 1, 101.0)
             assert f'(pid {other.pid}) has it open too; stop that program' in line
         assert looked(inspection, 1, 102.0) == []
@@ -371,8 +380,7 @@ def test_who_opens_a_port_beside_us_is_seen_at_once_and_gone_at_once():
         port = open_port(pty.path, 115200)                  # ours is left out
         assert looked(inspection, 2, 103.0) == []
         assert looked(inspection, 2, 104.0) == []
-        with pipes(OPENS, pty.path) as other:
-            other.stdout.readline()
+        with opened(pty.path):
             assert looked(inspection, 2, 105.0) != []       # the watch is set again
         port.close()
 
@@ -384,8 +392,7 @@ def test_who_opens_a_port_and_cannot_be_named_is_said_all_the_same(monkeypatch):
         port = open_port(pty.path, 115200)
         inspection = Inspection(pty.path, [])
         assert looked(inspection, 1, 100.0) == []
-        with pipes(OPENS, pty.path) as other:
-            other.stdout.readline()
+        with opened(pty.path):
             assert looked(inspection, 1, 101.0) == [
                 f'{pty.path}: another program has it open too; sudo fuser -v {pty.path} names '
                 'it; stop that program']
@@ -403,8 +410,7 @@ def test_without_a_watch_it_looks_every_30_s(monkeypatch):
     with Pty() as pty:
         inspection = Inspection(pty.path, [])
         assert looked(inspection, 1, 100.0) == []
-        with pipes(OPENS, pty.path) as other:
-            other.stdout.readline()
+        with opened(pty.path):
             assert looked(inspection, 1, 129.9) == []
             [line] = looked(inspection, 1, 130.0)
         assert looked(inspection, 1, 159.9) == [line]
@@ -445,19 +451,6 @@ def test_a_port_that_another_program_stopped_takes_bytes():
         assert port.write(b'stop') == 4
         assert os.read(pty.master, 99) == b'stop'
         port.close()
-
-
-def test_who_shares_a_pty_is_told_and_who_made_it_is_not():
-    makes = '_, near = os.openpty(); print(os.ttyname(near), flush=True)'
-    opens = 'os.open(sys.argv[1], os.O_NOCTTY); print(flush=True)'
-    with pipes(makes) as bus:
-        path = bus.stdout.readline().strip()
-        assert preflight.warnings(path) == []
-        with pipes(opens, path) as other:
-            other.stdout.readline()
-            [reason] = preflight.warnings(path)
-    assert reason.kind == 'busy'
-    assert re.fullmatch(rf'\S+ \(pid {other.pid}\) has it open too', reason.reason)
 
 
 def pipes(script, *arguments):

@@ -7,12 +7,6 @@ from hypothesis import settings
 from hypothesis import strategies as st
 import pytest
 
-from mecarover_fakes.fake_bus import default_devices
-from mecarover_fakes.fake_bus import make_devices
-from mecarover_fakes.line import Line
-from mecarover_fakes.line import MASTER
-from mecarover_fakes.master import Master
-from mecarover_fakes.traffic import PATTERNS
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 from msg_defs.event import BAUD
@@ -41,21 +35,6 @@ ANSWER_1 = encode(1, STATUS, b'\x00\x08\x00\x00', error=0)
 
 def monitor(devices=('1:MX-106',), baud=RATE):
     return Monitor('bus', MODELS, Settings(baud=baud, devices=tuple(parse_all(list(devices)))))
-
-
-def heard(pattern, seconds, has_sides):
-    devices = default_devices(pattern)
-    master = Master(Line(make_devices(devices, MODELS, RATE), RATE), PATTERNS[pattern], rate=50.0)
-    bus = monitor(devices)
-    end = int(seconds * S)
-    for burst in master.bursts(end):
-        if not has_sides:
-            bus.feed(burst.data, burst.end)
-        elif burst.sender == MASTER:
-            bus.feed(burst.data, burst.start, OUT)
-        else:
-            bus.feed(burst.data, burst.end, IN)
-    return bus.report(end + S)
 
 
 @given(chunks=st.lists(st.tuples(st.sampled_from((OUT, IN, UNKNOWN)), st.one_of(

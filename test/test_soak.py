@@ -15,7 +15,6 @@ from rigs.harness import Figure
 pytestmark = [pytest.mark.ros, pytest.mark.realtime(bears=0.1)]
 COMMAND = [sys.executable, '-m', 'benchmark', '--soak', '0.5']
 ROOT = Path(__file__).parents[1]
-BEGIN, S = 1_000_000_000_000, 1_000_000_000
 
 
 def test_half_a_minute_with_faults(ros):

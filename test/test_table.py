@@ -24,17 +24,6 @@ def seen(table, model, now=0):
     return {observed.field.name: observed for observed in table.observed(model, now)}
 
 
-def test_value_age_and_source():
-    table, model = Table(), servo()
-    table.store(132, struct.pack('<i', 3072), 2 * SECOND, READ)
-    table.store(116, struct.pack('<i', 1024), 3 * SECOND, WRITTEN)
-    position, goal = table.observed(model, 5 * SECOND)[::-1]
-    assert (position.field.name, position.value.text) == ('Present Position', '1.5708')
-    assert (position.age_s, position.source) == (3.0, 'r')
-    assert (goal.field.name, goal.value.text, goal.age_s, goal.source) == (
-        'Goal Position', '-1.5708', 2.0, 'w')
-
-
 @pytest.mark.parametrize('missing', range(4))
 def test_a_half_observed_value_is_never_shown(missing):
     table, model = Table(), servo()

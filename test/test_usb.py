@@ -105,6 +105,8 @@ def test_what_an_adapter_carries_comes_back(family, chunks, transfer_size):
     for which in (OUT, IN):
         assert side(heard, which) == b''.join(data for one, data in chunks if one == which)
     assert ('baud', 1_000_000) in changes(heard)
+    assert sorted({one.stamp for one in heard if one.data}) == [
+        BEGAN + 1_000_000 * number for number in range(len(chunks))]
     order = [one.side for one in heard if one.data]
     assert [one for n, one in enumerate(order) if not n or order[n - 1] != one] == [
         one for n, (one, _) in enumerate(chunks) if not n or chunks[n - 1][0] != one]

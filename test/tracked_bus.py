@@ -4,7 +4,6 @@
 
 import struct
 
-from fuzz.script import fast_reply as combined
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import encode
@@ -16,7 +15,7 @@ from servobus.bus.tracker import Tracker
 from servobus.model.models import Models
 
 MODELS = Models()
-MX_64, MX_106 = 311, 321
+MX_64 = 311
 BYTE_NS = 5_000                    # at 2 MBd
 POSITION = 132
 GOAL = 116
@@ -90,11 +89,6 @@ def sync_read(*numbers, address=POSITION, length=4):
 
 def fast_read(*numbers, length=4):
     return encode(BROADCAST, I.FAST_SYNC_READ, words(POSITION, length) + bytes(numbers))
-
-
-def fast_reply(blocks, errors=None):
-    return combined([((errors or {}).get(number, 0), number, data)
-                     for number, data in blocks.items()])
 
 
 SENSELESS = encode(BROADCAST, I.SYNC_WRITE, words(GOAL, 4) + b'\x01\xff\xff\xfd\xfd\x02bbbb',

@@ -37,7 +37,6 @@ from servobus.bus.cycle_time import NO_SIDES
 from servobus.bus.dialect import DialectChoice
 from servobus.bus.dxl1_classifier import AnyFramer
 from servobus.bus.dxl1_classifier import Dxl1Classifier
-from servobus.bus.dxl1_classifier import Parts
 from servobus.bus.dxl1_classifier import REPLY_LATE_NS
 from servobus.bus.echo import EchoCounter
 from servobus.bus.evidence import Evidence
@@ -90,7 +89,8 @@ class BusDecoder:
         self.registry.dialect = self.choice.dialect
         self.detector = Detector() if settings.protocol == 'auto' else None
         self.classifier = None if settings.protocol == '2' else Dxl1Classifier(
-            self.registry, self.evidence, self.choice, self.detector, self.byte_ns)
+            self.registry, self.evidence, self.choice, self.detector, self.byte_ns,
+            self.process_frames)
         self.framers: dict[str, AnyFramer] = {}        # by the side that they hear
         self._new_framer(UNKNOWN)
         self.tracker = Tracker(self.registry, self.evidence, self.byte_ns, settings.missed_limit,
@@ -107,7 +107,7 @@ class BusDecoder:
     def _new_framer(self, side: str) -> AnyFramer:
         framer: AnyFramer = dxl1_packet.Dxl1Framer()
         if self.detector is not None:
-            framer = MixedFramer(self.detector, bool(side), side)
+            framer = MixedFramer(self.detector, side)
         elif self.classifier is None:
             framer = Framer()
         self.framers[side] = framer
@@ -169,15 +169,8 @@ class BusDecoder:
         """Hand on what a framer found, once it is known what it means."""
         if self.classifier is None:
             self.process_frames(frames, stamp, framer.bytes, side)
-            return
-        self._process_parts(self.classifier.classify(framer, frames, stamp, side))
-
-    def _process_parts(self, parts: Parts) -> None:
-        for part in parts:
-            if part is None:
-                self.registry.set_dialect(self.choice.dialect)
-            else:
-                self.process_frames(*part)
+        else:
+            self.classifier.classify(framer, frames, stamp, side)
 
     def process_frames(self, frames: Frames, stamp: int, received: int,
                        side: str = UNKNOWN) -> None:
@@ -206,7 +199,7 @@ class BusDecoder:
     def _confirm_waiting(self) -> None:
         """Take what waited for the next frame: the line is idle."""
         if self.classifier is not None:
-            self._process_parts(self.classifier.confirm_waiting())
+            self.classifier.confirm_waiting()
 
     def process_change(self, change: Change, stamp: int) -> None:
         """Take what a source reported besides bytes."""
@@ -224,7 +217,8 @@ class BusDecoder:
             self.echo.count_waiting(value)
         elif what == PURGED:
             if value & 1:
-                self._purge(stamp)
+                self._discard_unread(stamp)
+                self.tracker.accept_purge(stamp)
             if value & 2:
                 self.tracker.unread.report_unsent(self.tracker.asked, stamp)
         elif what == GAVE_UP:
@@ -235,11 +229,6 @@ class BusDecoder:
             self.tracker.discount_latency(value, stamp)
         elif what in (CLOSED, GONE, LOST):
             self._end_stream(stamp, value if what == LOST else 0)
-
-    def _purge(self, stamp: int) -> None:
-        """Note that the program discarded what waited."""
-        self._discard_unread(stamp)
-        self.tracker.accept_purge(stamp)
 
     def _discard_unread(self, stamp: int) -> None:
         """Note that the program does not read what waits: an answer may have lost its end."""

@@ -46,8 +46,6 @@ class DialectChoice:
 
     def vote_by_instruction(self, request: Request) -> bool:
         """Take an instruction as a sign; return whether that decided."""
-        if self._is_fixed:
-            return False
         code = request.instruction
         where = (request.accesses[0].address, request.accesses[0].length) if request.accesses \
             else None
@@ -63,7 +61,7 @@ class DialectChoice:
 
     def vote_by_model_number(self, request: Request, data: bytes) -> bool:
         """Take a model number that was read as a sign; return whether that decided."""
-        if self._is_fixed or request.instruction != _READ or not request.accesses:
+        if request.instruction != _READ or not request.accesses:
             return False
         access = request.accesses[0]
         for dialect, protocol in ((DYNAMIXEL_1, '1'), (FEETECH, 'feetech')):

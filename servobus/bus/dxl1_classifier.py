@@ -12,8 +12,7 @@ A packet that names an ID for the first time waits for what comes after it (id_c
 """
 
 from collections import Counter
-from typing import Any
-from typing import NamedTuple
+from collections.abc import Callable
 
 from msg_defs import dxl1_packet
 from msg_defs.dxl1_instruction import ADAPTER_IDS
@@ -25,6 +24,7 @@ from msg_defs.dxl1_instruction import STATUS_BITS
 from msg_defs.dxl1_instruction import UNDECIDED
 from msg_defs.dxl1_packet import BROADCAST
 from msg_defs.dxl1_packet import MIN_LENGTH
+from msg_defs.dxl1_proof import Candidate
 from msg_defs.dxl1_proof import Detector
 from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import Request
@@ -52,9 +52,8 @@ REPLY_LATE_NS = 9_000_000
 MEANINGS_KEPT = 1024
 
 AnyFramer = Framer | MixedFramer | dxl1_packet.Dxl1Framer
-# As BusDecoder.process_frames(): frames, the stamp of their chunk, the offset after it, its side.
-Part = tuple[Frames, int, int, str]
-Parts = list[Part | None]
+# Takes frames with their meaning, the stamp of their chunk, the offset after it, its side.
+Process = Callable[[Frames, int, int, str], None]
 Content = tuple[int, int, bytes]              # ID, code and parameters of a packet
 # What an instruction is: its kind and parameters in common form; who answers with how much.
 Meaning = tuple[int, bytes, Request, dict[int, int]]
@@ -65,25 +64,17 @@ _SYNC_WRITE = 0x83
 _KNOWN_BY_PARAMETERS = (Answers.DATA, Answers.LISTED, Answers.PING, Answers.ADAPTER)
 
 
-class _Waiting(NamedTuple):
-    """A packet that names an ID for the first time, and was the last."""
-
-    framer: Any                            # a MixedFramer, or one of the 1.0 family alone
-    frame: Frame
-    stamp: int
-    received: int
-    side: str
-
-
 class Dxl1Classifier:
     """
     Reads the packets of one bus in order.
 
-    detector: says whether the 1.0 family is spoken here; None where that is known.
+    detector: says whether the 1.0 family is spoken here; None where that is known. process: what
+    takes the packets then.
     """
 
     def __init__(self, registry: DeviceRegistry, evidence: Evidence, choice: DialectChoice,
-                 detector: Detector | None, byte_ns: float) -> None:
+                 detector: Detector | None, byte_ns: float, process: Process) -> None:
+        self._process = process
         self._evidence = evidence
         self._registry = registry
         self._choice = choice
@@ -92,7 +83,7 @@ class Dxl1Classifier:
         self.slow_ns = REPLY_LATE_NS             # and the adapter may keep bytes back for longer
         self.packets = 0                   # those of the 1.0 family
         self.damaged: Counter[str] = Counter()     # those under `auto`
-        self._unconfirmed: _Waiting | None = None
+        self._unconfirmed: Candidate | None = None     # it was the last
         self._confirmation = IdConfirmation(registry)
         self._request = _NOTHING
         self._asked: Content = (-1, -1, b'')  # the last instruction
@@ -103,26 +94,20 @@ class Dxl1Classifier:
         self._meanings: dict[Content, Meaning] = {}
         self._noise_seen: Counter[AnyFramer] = Counter()       # bytes of it, by framer
 
-    def classify(self, framer: AnyFramer, frames: Frames, stamp: int,
-             side: str) -> Parts:
-        """
-        Return the frames of a chunk with their meaning, as BusDecoder.process_frames() takes them.
-
-        None among them: the dialect is known from here on.
-        """
-        parts: Parts = []
+    def classify(self, framer: AnyFramer, frames: Frames, stamp: int, side: str) -> None:
+        """Hand on the frames of a chunk with their meaning."""
         found: Frames = []
         received = framer.bytes
         detector = self._detector
         devices = self._registry.devices
         is_noisy = False
-        proving = self._proof(detector, parts) if detector is not None and detector.proof else None
+        proving = self._proof(detector) if detector is not None and detector.proof else None
         for frame in frames:
             kind, number, flaw = frame[2], frame[3], frame[6]
             if flaw is not None and flaw.noise_length > GLITCH:
                 is_noisy = True
             if self._unconfirmed is not None:
-                self._decide_unconfirmed(framer, flaw, parts, found)
+                self._decide_unconfirmed(framer, flaw, found)
             if kind < EITHER_1:
                 found.append(frame)
             elif flaw is not None and flaw.reason:
@@ -134,38 +119,36 @@ class Dxl1Classifier:
                 if (number not in devices and side != OUT and frame is not proving
                         and number not in self._awaited
                         and self._confirmation.new_id(*frame[3:6]) is not None):
-                    self._unconfirmed = _Waiting(framer, frame, stamp, received, side)
+                    self._unconfirmed = Candidate(framer, frame, stamp, received, side)
                     continue
                 found.append(self._classify_packet(frame, stamp, received, side))
                 if self._has_decided:
-                    found = self._split_parts(parts, found, stamp, received, side)
+                    found = self._use_dialect(found, stamp, received, side)
         if is_noisy:
             self._count_first_byte_lost(framer)
-        parts.append((found, stamp, received, side))
-        return parts
+        self._process(found, stamp, received, side)
 
-    def _proof(self, detector: Detector, parts: Parts) -> Frame | None:
-        """Add the packets of earlier chunks that this one proved; return the frame that did so."""
+    def _proof(self, detector: Detector) -> Frame | None:
+        """Take packets of earlier chunks that this one proved; return the frame that did so."""
         for one in detector.proof:
             self._report_family(one.framer, one.frame, one.stamp)
-            self._add_part(parts, self._classify_packet(*one[1:]), *one[2:])
+            self._take_earlier(self._classify_packet(*one[1:]), *one[2:])
         return detector.proving
 
-    def _split_parts(self, parts: Parts, found: Frames, stamp: int, received: int,
-             side: str) -> Frames:
-        """Say that the dialect is known: before the question that decided it, after the answer."""
+    def _use_dialect(self, found: Frames, stamp: int, received: int, side: str) -> Frames:
+        """Use a new dialect: from the question that decided it on, or after the answer."""
         self._has_decided = False
         kept = [] if found[-1][2] == IS_STATUS else [found.pop()]
-        parts += [(found, stamp, received, side), None]
+        self._process(found, stamp, received, side)
+        self._registry.set_dialect(self._choice.dialect)
         return kept
 
-    def _add_part(self, parts: Parts, frame: Frame, stamp: int, received: int,
-             side: str) -> None:
-        """Add a packet of an earlier chunk."""
+    def _take_earlier(self, frame: Frame, stamp: int, received: int, side: str) -> None:
+        """Hand on a packet of an earlier chunk."""
         found = [frame]
         if self._has_decided:
-            found = self._split_parts(parts, found, stamp, received, side)
-        parts.append((found, stamp, received, side))
+            found = self._use_dialect(found, stamp, received, side)
+        self._process(found, stamp, received, side)
 
     def _report_family(self, framer: AnyFramer, frame: Frame, stamp: int) -> None:
         """Note a packet of the 1.0 family on a bus that speaks 2.0 as well."""
@@ -189,8 +172,7 @@ class Dxl1Classifier:
 
     # --- does this ID exist? --------------------------------------------------------------------
 
-    def _decide_unconfirmed(self, framer: AnyFramer, flaw: Flaw | None, parts: Parts,
-                 found: Frames) -> None:
+    def _decide_unconfirmed(self, framer: AnyFramer, flaw: Flaw | None, found: Frames) -> None:
         """Decide on the packet that waits, for another frame has come."""
         held = self._unconfirmed
         if held is None:
@@ -199,21 +181,19 @@ class Dxl1Classifier:
         is_next = not is_same or flaw is None or not (flaw.reason or flaw.noise_length)
         frame = self._confirmed(held, is_next)
         if not is_same or held.received != framer.bytes:       # from an earlier chunk
-            self._add_part(parts, frame, *held[2:])
+            self._take_earlier(frame, *held[2:])
             return
         found.append(frame)
         if self._has_decided:
-            found[:] = self._split_parts(parts, found.copy(), *held[2:])
+            found[:] = self._use_dialect(found.copy(), *held[2:])
 
-    def confirm_waiting(self) -> Parts:
-        """Return the packet that waits, if the line is idle after it."""
-        parts: Parts = []
+    def confirm_waiting(self) -> None:
+        """Take the packet that waits, if the line is idle after it."""
         held = self._unconfirmed
         if held is not None and not held.framer.pending:
-            self._add_part(parts, self._confirmed(held, not held.framer.noise_length), *held[2:])
-        return parts
+            self._take_earlier(self._confirmed(held, not held.framer.noise_length), *held[2:])
 
-    def _confirmed(self, held: _Waiting, is_next: bool) -> Frame:
+    def _confirmed(self, held: Candidate, is_next: bool) -> Frame:
         """Return what the packet that waits means; is_next: there is no noise after it."""
         self._unconfirmed = None
         if held.frame[3] in self._awaited \

@@ -84,8 +84,6 @@ class Planner:
             CALIBRATE: registry.calibrate,
         }
         self._slot_makers: dict[Answers, Callable[[Request], list[Slot]]] = {
-            Answers.NONE: lambda request: [],
-            Answers.EVERYBODY: lambda request: [],
             Answers.PING: self._ping_slots,
             Answers.DATA: self._read_slots,
             Answers.LISTED: self._read_slots,
@@ -185,7 +183,8 @@ class Planner:
         return plan
 
     def _plan_of(self, request: Request, is_known: bool) -> Plan:
-        slots = {slot.device.number: slot for slot in self._slot_makers[request.answers](request)}
+        make = self._slot_makers.get(request.answers)
+        slots = {slot.device.number: slot for slot in make(request)} if make is not None else {}
         if request.answers is Answers.COMBINED and slots:
             first = next(iter(slots.values())).device
             slots = {BROADCAST: combined_slot(first), **slots}

@@ -112,7 +112,7 @@ class DeviceRegistry:
             silence_ms = (stamp - device.heard) // 1_000_000
             if device.heard and silence_ms >= ABSENCE_MS:
                 self._evidence.add_incident(stamp, ev.RETURNED, device.number,
-                                    ev.SilentFor(silence_ms, self._torque(device),
+                                    ev.SilentFor(silence_ms, self._raw(device, TORQUE, -1),
                                                  device.missed_in_a_row))
             device.missed_in_a_row = 0
         alert = error >= ALERT
@@ -326,10 +326,10 @@ class DeviceRegistry:
                         f'{baud} Bd' if baud else f'an unknown baud rate (code {value})')
 
     def _follow_offset(self, device: Device, value: int, stamp: int) -> None:
-        before = _raw(device, OFFSET)
+        before = self._raw(device, OFFSET)
         if value != before:
             self._evidence.add_incident(stamp, ev.OFFSET_WRITTEN, device.number,
-                                ev.Offsets(value, before, _raw(device, PLACE)))
+                                ev.Offsets(value, before, self._raw(device, PLACE)))
 
     def _follow_torque(self, device: Device, value: int, stamp: int) -> None:
         if value == MIDDLE:
@@ -366,16 +366,9 @@ class DeviceRegistry:
         self.devices[number] = device
         self.plans_hold = False
 
-    def _torque(self, device: Device) -> int:
-        """Return the last known Torque Enable, -1 if there is none."""
+    def _raw(self, device: Device, name: str, unknown: int = 0) -> int:
+        """Return what is known of a register."""
         self.resolve(device)
-        field = device.model.by_name.get('Torque Enable')
-        torque = device.table.byte(field.at) if field is not None else None
-        return -1 if torque is None else torque
-
-
-def _raw(device: Device, name: str) -> int:
-    """Return what is known of a register, 0 where nothing is."""
-    field = device.model.by_name.get(name)
-    data = device.table.bytes(field.at, field.size) if field is not None else None
-    return 0 if field is None or data is None else field.code_of(data)
+        field = device.model.by_name.get(name)
+        data = device.table.bytes(field.at, field.size) if field is not None else None
+        return unknown if field is None or data is None else field.code_of(data)

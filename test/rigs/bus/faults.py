@@ -15,8 +15,6 @@ from rigs.bus import servo as reg
 from rigs.bus.servo1 import servo
 from rigs.bus.wire import S
 
-MS = 1_000_000
-
 
 def _both(*faults):
     def fault(rig):
