@@ -85,7 +85,7 @@ def test_version_with_the_commit(tool):
 
 
 @pytest.mark.parametrize(('arguments', 'remedy'), [
-    (['--check', 'models'], 'did you mean --check-models?'),
+    (['--check-model', 'models'], 'did you mean --check-models?'),
     (['x', '--sumary'], 'did you mean --summary?'),
     (['x', '--secs=3'], 'did you mean --seconds?'),
     (['x', '--zzzz'], 'see dxl_dump --help'),
