@@ -342,7 +342,8 @@ def _rate_beyond(name: str, values: dict[str, Observed]) -> Found | None:
 
 def _meant(field: Field, raw: float, low: float, high: float) -> str:
     """Return what a value that cannot be may have been meant as, as words in brackets."""
-    swapped = field.decode(field.bytes_of(int(raw))[::-1]).raw
+    code = int(raw) % (1 << 8 * field.size)            # its bytes without a sign
+    swapped = field.decode(field.bytes_of(code)[::-1]).raw
     if low <= swapped <= high:
         return f' (in the other order of bytes it is {swapped})'
     is_negative = WORD // 2 <= raw < WORD
