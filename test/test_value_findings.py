@@ -7,9 +7,11 @@ value_findings.yaml has them. Each goes through the three phases on simulated ti
 at where a user meets it: report, log of dxl_doctor, status, history.
 """
 
+from dataclasses import replace
 from pathlib import Path
 import struct
 
+import doctor_case
 from doctor_case import claims_of_row
 import pytest
 from test_doctor_edges import ENOUGH
@@ -25,9 +27,14 @@ from msg_defs.dxl_packet import BROADCAST
 from msg_defs.reports import Level
 from servobus.bus.decoder import Settings
 from servobus.bus.expected import parse_all
+from servobus.doctor import RULES
 from servobus.doctor.case import PARAMETERS
 from servobus.doctor.finding_log import BusSummary
 from servobus.doctor.finding_log import FindingLog
+from servobus.doctor.rule import Claim
+from servobus.doctor.standing import dated_claim
+from servobus.doctor.standing import Reading
+from servobus.doctor.standing import StandingClaim
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 from servobus.status import PortState
@@ -261,6 +268,16 @@ def test_a_clock_gives_the_time_of_day():
     bus.now += 12 * 3600 * S           # then it could be that of another day
     bus.look()
     assert bus.finding().message.startswith('82 °C, last read 12 h ago; ')
+
+
+def test_a_stamp_of_the_future_is_of_now():
+    """A broken source may stamp its bytes with anything; no clock can spell it."""
+    seen = []
+    now = doctor_case.case()
+    now = replace(now, names=PARAMETERS._replace(time_of_day=lambda at: str(seen.append(at))))
+    hot = Reading(10 ** 27, 'read', '82 °C', ())
+    dated_claim(now, StandingClaim(RULES[0], Claim('it is hot'), now.now, hot, has_restarted=True))
+    assert seen == [now.now]
 
 
 def test_a_monitor_that_was_started_again_clears_nothing():

@@ -71,11 +71,12 @@ def dated_claim(case: Case, one: StandingClaim) -> StandingClaim:
     reading = one.reading
     if reading is None:
         return one
-    age_s = (case.now - reading.stamp) / NS_PER_S
+    stamp = min(reading.stamp, case.now)  # a broken source may stamp its bytes with any future
+    age_s = (case.now - stamp) / NS_PER_S
     if age_s <= WINDOW_S and not one.has_restarted:
         return one
     spell = case.names.time_of_day
-    when = f'at {spell(reading.stamp)}' if spell is not None and age_s < TIME_OF_DAY_MAX_S \
+    when = f'at {spell(stamp)}' if spell is not None and age_s < TIME_OF_DAY_MAX_S \
         else f'{_ago(age_s)} ago'
     message = (f'{reading.text}{", " if reading.text else ""}last {reading.verb} {when}'
                f'{", restarted since" if one.has_restarted else ""}; {one.claim.message}')
