@@ -34,8 +34,8 @@ from msg_defs.event import PURGED
 from msg_defs.event import RTS
 from msg_defs.event import TRACED
 from servobus.sources.tap_sender import OPENED
+from servobus.sources.tap_sender import PORT
 
-PORT = re.compile(r'/dev/(?:(?!ttyprintk)tty[A-Za-z]\w*|rfcomm\d+|pts/\d+)')
 AT_ONCE_NS = 200_000               # between two calls: strace, not the program
 AWAY_NS = 500_000                  # who looks as often does not sleep
 TRACED_MIN_NS = 500_000            # strace took so long: worth an event

@@ -310,9 +310,22 @@ def _described(error: Exception) -> dict[str, Any]:
             'packages': sorted(packages_of(error)), 'python': sys.executable}
 
 
+def _watch_opens(sender: Any) -> None:
+    """Let strace hear the ports that are opened without pyserial."""
+    def look(event: str, arguments: Any) -> None:
+        if event == 'open':
+            with suppress(Exception):
+                if not sys._getframe(1).f_globals['__name__'].startswith('serial.'):
+                    sender.note_open(arguments[0], arguments[2])
+
+    if sys.platform == 'linux':
+        sys.addaudithook(look)
+
+
 def install(sender: Any) -> None:
     """Report everything that this process does through pyserial."""
     sys.meta_path.insert(0, _Finder(sender))
+    _watch_opens(sender)
     atexit.register(_end, sender)
     leave = os._exit                           # how children of multiprocessing end
 

@@ -19,6 +19,7 @@ from collections import deque
 from contextlib import suppress
 import json
 import os
+import re
 import socket
 import stat
 import struct
@@ -44,6 +45,7 @@ KINDS = ('hello', OPENED, 'closed', 'out', 'in', 'baud', 'purged', 'not_sent', '
          'line_mode')
 NUMBER = struct.Struct('<q')               # what follows the others
 
+PORT = re.compile(r'/dev/(?:(?!ttyprintk)tty[A-Za-z]\w*|rfcomm\d+|pts/\d+)')
 QUEUED_RECORDS_MAX = 20_000                # records that wait for the thread
 PENDING_MAX_BYTES = 4_000_000              # bytes that wait for a reader
 POLL_S = 0.02
@@ -182,6 +184,7 @@ class Sender:
         self.serials: WeakSet[Any] = WeakSet() # the ports of pyserial that were opened
         self._numbers = 0
         self._is_traced = False                # strace hears the ports of this process
+        self._has_asked = False                # for strace
         self._readers: dict[str, _TapPeer] = {}
         self._forget()
         self._mark(LOADED)
@@ -244,8 +247,9 @@ class Sender:
 
     def give_way(self) -> None:
         """Ask for strace, where a library opens ports by itself; wait until it is there."""
-        if sys.platform != 'linux' or self._is_traced:
+        if sys.platform != 'linux' or self._has_asked or TAP_MARK not in os.environ:
             return
+        self._has_asked = True
         import ctypes
 
         ctypes.CDLL(None).prctl(_SET_PTRACER, ctypes.c_ulong(-1), 0, 0, 0)     # else ancestors
@@ -255,6 +259,15 @@ class Sender:
             time.sleep(POLL_S / 10)
             with open('/proc/self/status') as file:
                 self._is_traced = '\nTracerPid:\t0\n' not in file.read()
+
+    def note_open(self, path: Any, flags: int) -> None:
+        """Ask for strace before the program opens a serial port for writing by itself."""
+        if not flags & os.O_ACCMODE or self._has_asked:
+            return
+        status = os.stat(path)
+        if stat.S_ISCHR(status.st_mode) and PORT.fullmatch(os.path.realpath(os.fsdecode(path))) \
+                and status.st_rdev not in [os.fstat(number).st_rdev for number in range(3)]:
+            self.give_way()
 
     def end(self) -> None:
         """Let readers have what they did not get yet, but not for long."""
