@@ -37,12 +37,13 @@ TRACE = b'trace '                          # the process that strace shall hear 
 SUFFIX = '.tap'                            # ends the name of a listener's socket
 
 # A record: its kind as a place in KINDS, the number of the port, a stamp (ns, monotonic), the size
-# of what follows. All kinds but OPENED, ENDED and hello are names of msg_defs/event.py.
+# of what follows. Kinds but OPENED, ENDED, TWO_READERS and hello are names of msg_defs/event.py.
 HEAD = struct.Struct('<BHqI')
 OPENED, ENDED = 'opened', 'ended'
+TWO_READERS = 'two_readers'                # wait for bytes at once; 2: one took what was another's
 KINDS = ('hello', OPENED, 'closed', 'out', 'in', 'baud', 'purged', 'not_sent', 'lost', 'unread',
          ENDED, 'dtr', 'rts', 'gave_up_us', 'traced_us', 'away_us', 'busy_us',
-         'line_mode')
+         'line_mode', TWO_READERS)
 NUMBER = struct.Struct('<q')               # what follows the others
 
 PORT = re.compile(r'/dev/(?:(?!ttyprintk)tty[A-Za-z]\w*|rfcomm\d+|pts/\d+)')
@@ -182,6 +183,7 @@ class Sender:
         self._ports: dict[int, tuple[bytes, int]] = {}     # number: name, rate
         self._announced: set[int] = set()      # ports that listeners know as open
         self.serials: WeakSet[Any] = WeakSet() # the ports of pyserial that were opened
+        self.rivals: dict[int, int] = {}       # threads that read a port at once: its number
         self._numbers = 0
         self._is_traced = False                # strace hears the ports of this process
         self._has_asked = False                # for strace

@@ -41,6 +41,7 @@ from servobus.sources.tap_reader import TapReader
 from servobus.sources.tap_reader import TapRecord
 from servobus.sources.tap_sender import ENDED
 from servobus.sources.tap_sender import OPENED
+from servobus.sources.tap_sender import TWO_READERS
 from servobus.tools.doctor import explain
 from servobus.tools.doctor.verdict import Trouble
 from servobus.tools.start_program import StartedProgram
@@ -76,12 +77,17 @@ class Ending(NamedTuple):
     is_over: bool = True
     signal: int = 0                # that ended it, 0: none
     missed: tuple[str, ...] = ()   # why not all of it was heard
+    is_of_thread: bool = False     # the error ended a thread, not all of it
 
     @property
     def failed(self) -> str:
         """Whether it ended by itself with an error that may be of the bus (bus/report.py)."""
         if not self.code or self.was_stopped:
             return ''
+        return FAILED if self.is_of_thread else self._cause
+
+    @property
+    def _cause(self) -> str:
         if _REFUSED_RATE.search(self.error):
             return RATE_REFUSED
         is_of_library = self.packages & SERVO_LIBRARIES or any(
@@ -94,11 +100,12 @@ class Ending(NamedTuple):
         return signal.strsignal(self.signal) or '' if self.signal else ''
 
     def trouble(self) -> Trouble | None:
-        """Return what is wrong with a program that its servo library has ended."""
-        if self.failed not in (RAISED, RATE_REFUSED):
+        """Return what is wrong with a program that its servo library has ended, or a thread of."""
+        if (not self.is_of_thread and not self.failed) or self._cause == FAILED:
             return None
         means = explain.find(self.error)
-        return Trouble(Level.WARN, 'the program', '', f'it ended with {self.error}',
+        who = 'a thread of it' if self.is_of_thread else 'it'
+        return Trouble(Level.WARN, 'the program', '', f'{who} ended with {self.error}',
                        means[0].means if means else '')
 
     def unknowns(self) -> list[str]:
@@ -135,6 +142,9 @@ class Openings:
             opened.add(record.opening)
         elif record.kind == CLOSED:
             opened.discard(record.opening)
+        elif record.kind == TWO_READERS:
+            opened.add(0)                      # as if it were open twice
+            self.found[bus] = STOLE_REPLIES if record.value > 1 else self.found.get(bus, OWN)
         elif record.side == IN:                # another has asked since it did
             self.is_robbed |= is_other and record.opening in turns
         elif record.side and is_other:
@@ -237,7 +247,7 @@ class Program(Source):
             ended: dict[str, Any] = json.loads(record.data)
             self._ending = Ending(error=printable(' '.join(ended['error'].split())),
                                   packages=frozenset(ended['packages']),
-                                  python=ended['python'])
+                                  python=ended['python'], is_of_thread=ended['thread'])
             self._openings.is_robbed |= _ROBBED in self._ending.error
         if record.kind == OPENED and record.port not in self.ports:
             self.ports.append(record.port)
