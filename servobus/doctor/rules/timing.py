@@ -116,7 +116,8 @@ def two_masters(case: Case) -> Claims:
                     'lost or damaged: let only one use it',
                     {'missed answers': lost, 'damaged packets': case.damage}, is_certain=True)
         return
-    if case.has_sides and harm < INCIDENTS_MIN:
+    hasty = sum(not one.is_spoilt and one.us < FACTORY_DELAY_US for one in case.waits(WINDOW_S))
+    if case.has_sides and min(harm, hasty) < INCIDENTS_MIN:
         return                                 # one program with two timers, or with a lock
     pair = _independent_rhythms(case)
     if pair is not None:
