@@ -8,6 +8,7 @@ writes and reads, and of what it leaves unread.
 """
 
 from pathlib import Path
+from random import Random
 
 import pytest
 from test_foreign_programs import played
@@ -136,6 +137,22 @@ def test_a_program_that_writes_all_the_time_and_reads_nothing():
         program.write(encode(SIX[turn % 6], 3, b'\x2a\x00\x08'), after=10.0)
     program.end(1800)
     assert told(program)[0] == set()
+
+
+@pytest.mark.parametrize(('steps_a_cycle', 'is_said'), [(34, False), (136, False), (0, True)])
+def test_a_joint_that_goes_back_and_forth_twice_a_second_follows_its_goals(steps_a_cycle, is_said):
+    """Each report finds it at the same place, with the goal before or after its change."""
+    random, program = Random(10), Script(ROWS['handshake'])
+    goal = place = 2048
+    program.write(encode(0xFE, 0x83, b'\x28\x01\x01\x01'))
+    for _ in range(250):
+        place += max(-steps_a_cycle, min(steps_a_cycle, goal - place))
+        program.write(encode(1, READ, PLACE), after=18.0 + 2.0 * random.random())
+        program.read(encode(1, 0, place.to_bytes(2, 'little')))
+        goal = 2048 + (136 if (program.now + 10.0) % 500 > 250 else -136)
+        program.write(encode(0xFE, 0x83, b'\x2a\x02\x01' + goal.to_bytes(2, 'little')))
+    program.end()
+    assert (('torque_off', '001') in told(program)[0]) == is_said
 
 
 def test_an_error_bit_of_feetech_is_what_is_now():
