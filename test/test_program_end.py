@@ -139,6 +139,23 @@ def test_a_program_that_writes_all_the_time_and_reads_nothing():
     assert told(program)[0] == set()
 
 
+@pytest.mark.parametrize(('between', 'rest', 'is_said'), [
+    (encode(2, READ, PLACE), True, True), (encode(2, READ, PLACE), False, False),
+    (encode(0xFE, 0x83, b'\x2a\x02\x01\x00\x08'), True, False)],
+    ids=['a question', 'its end is lost', 'another thread writes a goal'])
+def test_a_program_that_asks_before_it_has_read_an_answer_to_its_end(between, rest, is_said):
+    program, answers = Script(ROWS['handshake']), [encode(one, 0, b'\x00\x08') for one in (1, 2)]
+    for _ in range(20):
+        program.write(encode(1, READ, PLACE), after=10.0)
+        program.read(answers[0][:3], after=0.3)
+        program.write(between, after=0.1)
+        program.read(answers[0][3:] * rest, after=0.3)
+        if between[2] == 2:
+            program.read(answers[1], after=0.5)
+    program.end()
+    assert (('unread_answers', 'the') in told(program)[0]) == is_said
+
+
 @pytest.mark.parametrize(('steps_a_cycle', 'is_said'), [(34, False), (136, False), (0, True)])
 def test_a_joint_that_goes_back_and_forth_twice_a_second_follows_its_goals(steps_a_cycle, is_said):
     """Each report finds it at the same place, with the goal before or after its change."""

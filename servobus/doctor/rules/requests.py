@@ -97,12 +97,18 @@ _PRO = {562: 'Torque Enable', 596: 'Goal Position', 600: 'Goal Velocity', 604: '
                     'no acknowledgements', 'wrong length', 'restart', 'slow cycle'})
 def unread_answers(case: Case) -> Claims:
     """
-    Bytes of earlier answers wait each time it asks, and answers are missed or damaged.
+    It asks before an answer is read to its end; or earlier ones wait, and others are missed.
 
-    Only Python with pyserial is known so well.
+    What waits is known of Python with pyserial.
 
     Do: read whole answers, and clear the input before each question.
     """
+    split = case.count(ev.SPLIT)
+    if split >= INCIDENTS_MIN:
+        yield Claim(f'the program reads a part of an answer and asks on, {split} times in 10 s: '
+                    'let it read until the answer is whole, or its time-out is over',
+                    {'read in part': split}, covers=tuple(case.by_id))
+        return
     if not case.count(ev.STALE):
         return
     seen = 'each time the program asks, bytes of earlier answers still wait to be read'
