@@ -190,11 +190,12 @@ def test_an_error_bit_of_feetech_is_what_is_now():
     ('+1 1 -1 +2 2 -2 +1 1 -1 +2 2', ''),          # one after the other
     ('+1 +2 1 2 1 robbed 1', STOLE_REPLIES), ('+1 +2 1 2 1 -2 robbed 1', ''),
     ('+1 1 +2 2 r1', STOLE_REPLIES), ('+1 1 r1 +2 2 r2', ''), ('+1 1 +2 r2 r2', ''),
-    ('+1 1 t1', OWN), ('+1 1 t1 t2', STOLE_REPLIES), ('+1 1 t2 t1', STOLE_REPLIES),
+    ('+1 t1 t1 t1', OWN), ('+1 t2 t2 t2', STOLE_REPLIES), ('+1 t2 t2 t2 t1', STOLE_REPLIES),
+    ('+1 t1 t1', ''), ('+1 t2 t2', ''), ('+1 t3', STOLE_REPLIES),
     ('+1 1 t1 robbed 1', STOLE_REPLIES),
 ], ids=['two', 'one idle', 'handed on', 'in turns', 'robbed', 'unplugged', 'reads of the other',
         'each reads its own', 'one writes, one reads', 'threads', 'processes', 'both',
-        'a thread is robbed'])
+        'threads, twice', 'processes, twice', 'a thread has died', 'a thread is robbed'])
 def test_two_who_ask_on_one_port_are_noticed(said, others):
     openings = Openings()
     for word in said.split():

@@ -53,7 +53,7 @@ def _wrap_read(sender: Any, original: _Method) -> _Method:
             state = self.__dict__[_STATE]
             reading = state.reading
             reading.add(me)
-            if len(reading) > 1 and me not in sender.rivals:
+            if len(reading) > 1:
                 sender.rivals.update(dict.fromkeys([*reading], state.number))
                 sender.number('two_readers', state.number, 1)
             away = began - (state.looked_ns or began)
@@ -319,7 +319,7 @@ def _watch_threads(sender: Any) -> None:
                 _report_error(sender, arguments.exc_value, True)
                 port = sender.rivals.get(threading.get_ident())
                 if port:
-                    sender.number('two_readers', port, 2)
+                    sender.number('two_readers', port, 3)
         original(arguments)
 
     threading.excepthook = report

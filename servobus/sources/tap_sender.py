@@ -40,7 +40,8 @@ SUFFIX = '.tap'                            # ends the name of a listener's socke
 # of what follows. Kinds but OPENED, ENDED, TWO_READERS and hello are names of msg_defs/event.py.
 HEAD = struct.Struct('<BHqI')
 OPENED, ENDED = 'opened', 'ended'
-TWO_READERS = 'two_readers'                # wait for bytes at once; 2: one took what was another's
+TWO_READERS = 'two_readers'                # wait for bytes at once; 1: threads, 2: processes
+HAS_DIED = 3                               # its value where one of these threads did
 KINDS = ('hello', OPENED, 'closed', 'out', 'in', 'baud', 'purged', 'not_sent', 'lost', 'unread',
          ENDED, 'dtr', 'rts', 'gave_up_us', 'traced_us', 'away_us', 'busy_us',
          'line_mode', TWO_READERS)

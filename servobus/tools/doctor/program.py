@@ -9,6 +9,7 @@ there is no fcntl, termios or pty, too.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from collections.abc import Sequence
 import json
@@ -40,6 +41,7 @@ from servobus.sources.source import Source
 from servobus.sources.tap_reader import TapReader
 from servobus.sources.tap_reader import TapRecord
 from servobus.sources.tap_sender import ENDED
+from servobus.sources.tap_sender import HAS_DIED
 from servobus.sources.tap_sender import OPENED
 from servobus.sources.tap_sender import TWO_READERS
 from servobus.tools.doctor import explain
@@ -51,6 +53,7 @@ TICK_S = 0.1
 LAST_RECORDS_WAIT_S = 1.0          # for what the program said last
 CRASHES = {getattr(signal, f'SIG{name}', None) for name in (
     'ILL', 'TRAP', 'ABRT', 'BUS', 'FPE', 'SEGV', 'SYS')}
+OVERLAPS_MIN = 3                   # two that read at once: at its end a program may do so once
 TURNS_OF_TWO = 4                   # between two who ask: a parent that hands on has fewer
 LEFT_AFTER_S = 0.5                 # a process that still runs then has closed our connection
 _LEFT = ('the program closed the connection of the tap after {:.1f} s; what it sent and received '
@@ -133,6 +136,7 @@ class Openings:
     def __init__(self) -> None:
         self.is_robbed = False
         self.found: dict[str, str] = {}
+        self._overlaps = Counter[str]()
         self._ports: dict[str, tuple[set[int], list[int]]] = {}        # who wrote, in turns
 
     def count_record(self, bus: str, record: TapRecord) -> None:
@@ -144,7 +148,9 @@ class Openings:
             opened.discard(record.opening)
         elif record.kind == TWO_READERS:
             opened.add(0)                      # as if it were open twice
-            self.found[bus] = STOLE_REPLIES if record.value > 1 else self.found.get(bus, OWN)
+            self._overlaps[bus] += 1
+            if record.value == HAS_DIED or self._overlaps[bus] >= OVERLAPS_MIN:
+                self.found[bus] = STOLE_REPLIES if record.value > 1 else self.found.get(bus, OWN)
         elif record.side == IN:                # another has asked since it did
             self.is_robbed |= is_other and record.opening in turns
         elif record.side and is_other:
