@@ -97,9 +97,7 @@ _PRO = {562: 'Torque Enable', 596: 'Goal Position', 600: 'Goal Velocity', 604: '
                     'no acknowledgements', 'wrong length', 'restart', 'slow cycle'})
 def unread_answers(case: Case) -> Claims:
     """
-    It asks before an answer is read to its end; or earlier ones wait, and others are missed.
-
-    What waits is known of Python with pyserial.
+    It asks in the middle of an answer; or (Python with pyserial) some wait and others are missed.
 
     Do: read whole answers, and clear the input before each question.
     """

@@ -98,8 +98,8 @@ def two_masters(case: Case) -> Claims:
     """
     Two independent rhythms of instructions.
 
-    Or answers are lost while another program, or a second one that was started, has the port
-    open, or two threads read at once, or one reads after the other has asked.
+    Or answers are lost while another program has the port open, two threads read at once, or one
+    reads after the other has asked.
 
     Do: find the second program; give threads one lock.
     """
