@@ -57,6 +57,8 @@ _LINE_ERRORS = {OVERRUN: 'overrun', PARITY: 'parity', FRAMING: 'frame', BREAK: '
 WINDOW_S = 10
 _SERIES = ('time_per_buffer', 'ms'), ('time_between_buffers', 'ms'), ('bytes_per_buffer', 'B')
 TICK_NS = 1_000_000_000
+PLACE_NS = 100_000_000             # after a report: a joint may go back and forth between two
+NEVER_NS = 1 << 63
 CYCLES_REPORTED_MAX = 32
 FEED_DELAY_NS = 200_000_000        # bytes that were read may wait for so long to be fed
 SCAN_MIN_IDS = 8                   # IDs that do not answer a Ping: fewer may be lost devices
@@ -117,6 +119,7 @@ class Monitor:
         self._failed: str | None = None        # how the program that asks ended
         self._users = tuple[str, ...]()        # who else had its port
         self._noise_seen = 0
+        self._place_due = NEVER_NS
         self._start_statistics(0)
 
     def feed(self, chunk: bytes, stamp: int, side: str = UNKNOWN) -> None:
@@ -150,6 +153,8 @@ class Monitor:
                     self.signals.attach_new()
                 if stamp >= self._next_tick:
                     self._tick(stamp)
+                if stamp >= self._place_due:
+                    self._keep_places()
                 self._last = stamp
             if size := self._fed - fed:        # not changes alone
                 if before:
@@ -211,6 +216,7 @@ class Monitor:
                 self._tick(now)
             cycles = _cycles(self._tracker.planner.plans())
             bus = self._bus_report(now, cycles)
+            self._place_due = now + PLACE_NS
         devices = tuple(self._device_report(device, now) for device in self._by_id()
                         if device.number not in bus.scanned)
         with self._examining:
@@ -306,6 +312,11 @@ class Monitor:
             raise mistake
         survive('the monitor', mistake)
         self._tracker.lose_track(self._last, 0)
+
+    def _keep_places(self) -> None:
+        self._place_due = NEVER_NS
+        for device in self._registry.devices.values():
+            device.keep_place()
 
     def _tick(self, now: int) -> None:
         """Once a second: snapshots for the last 10 s, and a look at what was no packet."""

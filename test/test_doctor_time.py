@@ -308,6 +308,18 @@ def test_two_rhythms_that_do_not_fit_are_two_programs(other_ms, blur_ms, is_told
         'without a lock; let only one ask'] * is_told
 
 
+@pytest.mark.parametrize(('hasty', 'missed', 'is_told'), [
+    (waits(3, 499), 3, True), (waits(2, 499), 3, False), (waits(3, 500), 3, False),
+    (waits(9, 499, spoilt=True), 9, False),
+    (waits(3, 499), 2, False)])
+def test_of_one_program_two_threads_ask_at_once_where_one_does_not_wait(hasty, missed, is_told):
+    """One that takes a lock waits for its answer, or until that is spoilt: by a second servo."""
+    cycles = every([20.0] * 60), every([37.0] * 32, 2)
+    found = told('two_masters', devices=[device(window={'missed': missed})], waits=hasty,
+                 has_sides=True, rhythms=rhythms(cycles, NOW, 1_000_000))
+    assert bool(found) == is_told
+
+
 UNSTEADY = [20, 20, 31, 20, 23, 43, 38, 20, 35, 26, 41, 29, 33, 37, 24, 22, 40, 28, 34, 30] * 2
 
 

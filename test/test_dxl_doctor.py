@@ -484,6 +484,62 @@ def test_a_program_that_a_signal_ended_is_not_called_well(meeting_place, tmp_pat
     assert said['program']['exit'] == 128 + getattr(signal, f'SIG{name}')
 
 
+TWO_THREADS = """
+import contextlib, serial, threading
+port = serial.Serial({path!r}, 1000000, timeout=0.5)
+start = threading.Barrier(2)
+lock = {lock}
+def ask():
+    start.wait()
+    with lock:
+        port.write(bytes((255, 255, 1, 2, 1, 251)))
+        if len(port.read(6)) < 6:
+            raise serial.SerialException('no answer')
+threads = [threading.Thread(target=ask) for _ in range(2)]
+for one in threads: one.start()
+for one in threads: one.join()
+{close}"""
+
+
+@pytest.mark.realtime(bears=0.02)
+@pytest.mark.parametrize(('lock', 'are_rivals'), [
+    ('contextlib.nullcontext()', True), ('threading.Lock()', False)])
+def test_two_threads_that_read_at_once_are_named(lock, are_rivals, meeting_place, tmp_path):
+    with Pty(str(tmp_path / 'bus')) as pty:
+        done = doctor('--json', 'run', '--', sys.executable, '-c', TWO_THREADS.format(
+            path=pty.path, lock=lock, close=''), env={'XDG_RUNTIME_DIR': meeting_place})
+    found = json.loads(done.stdout)
+    assert ('two_masters' in [one['rule'] for one in found['buses'][0]['findings']]) == are_rivals
+    assert found['program'] == {'exit': 0, 'error': 'SerialException: no answer'}
+
+
+READS_ON = """import serial, threading
+port = serial.Serial({path!r}, timeout=0)
+go = threading.Event()
+def read():
+    go.wait()
+    {act}
+thread = threading.Thread(target=read)
+thread.start()
+{close}
+go.set()
+thread.join()"""
+
+
+@pytest.mark.realtime(bears=0.02)
+@pytest.mark.parametrize(('act', 'close', 'is_named'), [
+    ('raise serial.SerialException("read failed: gone")', '', True),
+    ('port.read()', 'port.close()', False), ('raise ValueError("no picture")', '', False)],
+    ids=['its port fails', 'closed at the end', 'another cause'])
+def test_a_thread_that_its_port_ends_is_named(act, close, is_named, meeting_place, tmp_path):
+    with Pty(str(tmp_path / 'bus')) as pty:
+        script = READS_ON.format(path=pty.path, act=act, close=close).replace(
+            'go = ', 'port.write(bytes((255, 255, 1, 2, 1, 251)))\ngo = ')
+        done = doctor('run', '--', sys.executable, '-c', script,
+                      env={'XDG_RUNTIME_DIR': meeting_place})
+    assert ('a thread of it ended with' in ' '.join(done.stdout.split())) == is_named
+
+
 SHARES = """import serial; serial.Serial({!r}).write(bytes((255, 255, 1, 2, 1, 251)))
 raise serial.SerialException('returned no data (disconnected or multiple access on port?)')"""
 

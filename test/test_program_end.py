@@ -8,6 +8,7 @@ writes and reads, and of what it leaves unread.
 """
 
 from pathlib import Path
+from random import Random
 
 import pytest
 from test_foreign_programs import played
@@ -138,6 +139,39 @@ def test_a_program_that_writes_all_the_time_and_reads_nothing():
     assert told(program)[0] == set()
 
 
+@pytest.mark.parametrize(('between', 'rest', 'is_said'), [
+    (encode(2, READ, PLACE), True, True), (encode(2, READ, PLACE), False, False),
+    (encode(0xFE, 0x83, b'\x2a\x02\x01\x00\x08'), True, False)],
+    ids=['a question', 'its end is lost', 'another thread writes a goal'])
+def test_a_program_that_asks_before_it_has_read_an_answer_to_its_end(between, rest, is_said):
+    program, answers = Script(ROWS['handshake']), [encode(one, 0, b'\x00\x08') for one in (1, 2)]
+    for _ in range(20):
+        program.write(encode(1, READ, PLACE), after=10.0)
+        program.read(answers[0][:3], after=0.3)
+        program.write(between, after=0.1)
+        program.read(answers[0][3:] * rest, after=0.3)
+        if between[2] == 2:
+            program.read(answers[1], after=0.5)
+    program.end()
+    assert (('unread_answers', 'the') in told(program)[0]) == is_said
+
+
+@pytest.mark.parametrize(('steps_a_cycle', 'is_said'), [(34, False), (136, False), (0, True)])
+def test_a_joint_that_goes_back_and_forth_twice_a_second_follows_its_goals(steps_a_cycle, is_said):
+    """Each report finds it at the same place, with the goal before or after its change."""
+    random, program = Random(10), Script(ROWS['handshake'])
+    goal = place = 2048
+    program.write(encode(0xFE, 0x83, b'\x28\x01\x01\x01'))
+    for _ in range(250):
+        place += max(-steps_a_cycle, min(steps_a_cycle, goal - place))
+        program.write(encode(1, READ, PLACE), after=18.0 + 2.0 * random.random())
+        program.read(encode(1, 0, place.to_bytes(2, 'little')))
+        goal = 2048 + (136 if (program.now + 10.0) % 500 > 250 else -136)
+        program.write(encode(0xFE, 0x83, b'\x2a\x02\x01' + goal.to_bytes(2, 'little')))
+    program.end()
+    assert (('torque_off', '001') in told(program)[0]) == is_said
+
+
 def test_an_error_bit_of_feetech_is_what_is_now():
     program = Script(ROWS['handshake'])
     for turn in range(300):
@@ -156,13 +190,19 @@ def test_an_error_bit_of_feetech_is_what_is_now():
     ('+1 1 -1 +2 2 -2 +1 1 -1 +2 2', ''),          # one after the other
     ('+1 +2 1 2 1 robbed 1', STOLE_REPLIES), ('+1 +2 1 2 1 -2 robbed 1', ''),
     ('+1 1 +2 2 r1', STOLE_REPLIES), ('+1 1 r1 +2 2 r2', ''), ('+1 1 +2 r2 r2', ''),
+    ('+1 t1 t1 t1', OWN), ('+1 t2 t2 t2', STOLE_REPLIES), ('+1 t2 t2 t2 t1', STOLE_REPLIES),
+    ('+1 t1 t1', ''), ('+1 t2 t2', ''), ('+1 t3', STOLE_REPLIES),
+    ('+1 1 t1 robbed 1', STOLE_REPLIES),
 ], ids=['two', 'one idle', 'handed on', 'in turns', 'robbed', 'unplugged', 'reads of the other',
-        'each reads its own', 'one writes, one reads'])
+        'each reads its own', 'one writes, one reads', 'threads', 'processes', 'both',
+        'threads, twice', 'processes, twice', 'a thread has died', 'a thread is robbed'])
 def test_two_who_ask_on_one_port_are_noticed(said, others):
     openings = Openings()
     for word in said.split():
         openings.is_robbed |= word == 'robbed'
         if word[-1].isdigit():
-            kind = {'+': sent.OPENED, '-': CLOSED, 'r': IN}.get(word[0], OUT)
-            openings.count_record('arm', TapRecord(1, 'arm', kind, b'', 0, int(word[-1])))
+            kind = {'+': sent.OPENED, '-': CLOSED, 'r': IN, 't': sent.TWO_READERS}.get(
+                word[0], OUT)
+            value, opening = (int(word[-1]), 1) if word[0] == 't' else (0, int(word[-1]))
+            openings.count_record('arm', TapRecord(1, 'arm', kind, b'', value, opening))
     assert openings.found.get('arm', '') == others

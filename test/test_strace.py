@@ -276,8 +276,24 @@ def test_the_program_goes_on_when_others_are_killed(victim, again):
 
 @needs_strace
 @pytest.mark.realtime(bears=0.02)
-def test_a_port_that_pyserial_did_not_open_is_named():
-    code = textwrap.dedent(LASTING)
+@pytest.mark.parametrize('how', ['os.open(path, os.O_RDWR)', 'open(path, "r+b", buffering=0)'])
+def test_a_port_that_python_opens_without_pyserial_is_heard(how):
+    with peers(lambda data: data) as (far,), TapReader('robot') as reader:
+        script = f'import os, serial, termios; path = {far.pty.path!r}; port = {how}; os.write(' \
+            'getattr(port, "fileno", lambda: port)(), b"x")'
+        done = tap('robot', '--', sys.executable, '-c', script)
+        assert (done.returncode, done.stdout) == (0, '')
+        told = listen(reader, lambda told: not reader.programs and closed(1)(told))
+        assert heard(told, OUT, far.pty.path) == b'x'
+
+
+@needs_strace
+@pytest.mark.realtime(bears=0.02)
+def test_a_port_that_only_a_child_opens_is_named():
+    code = """
+        import subprocess
+        subprocess.run(['sh', '-c', 'exec 3<>"$0"; head -n 1 >/dev/null', {path!r}])"""
+    code = textwrap.dedent(code)
     with peers(lambda data: data) as (far,), subprocess.Popen(
             [sys.executable, '-m', 'servobus.tools.tap', 'robot', '--', sys.executable, '-c',
              code.format(path=far.pty.path)], cwd=ROOT, stdin=subprocess.PIPE, text=True,

@@ -31,6 +31,7 @@ from msg_defs.event import UNREAD
 from msg_defs.frame import Frames
 from msg_defs.uart import byte_ns
 from msg_defs.uart import idle_s
+from servobus.bus import evidence as ev
 from servobus.bus.cycle_time import CycleClock
 from servobus.bus.cycle_time import NO_RATE
 from servobus.bus.cycle_time import NO_SIDES
@@ -79,6 +80,7 @@ class BusDecoder:
         self.byte_ns = byte_ns(settings.baud)
         self._last_in = 0                     # stamp of the last bytes to the master, if known
         self._noise_in = 0                    # bytes of noise to it that were looked at
+        self._split = 0                       # offset in an answer at which it asked, 0: none
         self.evidence = Evidence()
         self.echo = EchoCounter(self.evidence)
         self.clock = CycleClock()
@@ -133,6 +135,8 @@ class BusDecoder:
                 self.clock.add_received(stamp, wire_ns)
         framer.stamp = stamp
         frames = framer.frames(chunk)
+        if self._split and side == IN:
+            self._note_split(frames, stamp)
         if framer.has_other:
             self._classify(framer, frames, stamp, side)
         else:
@@ -154,7 +158,16 @@ class BusDecoder:
         self._report_noise(framer)
         self.tracker.unread.count_overlong_reply(plan, came, framer.noise_length > 0)
         self.tracker.quiet_from = framer.bytes - framer.pending
+        self._split = framer.bytes if framer.pending else 0
         self.tracker.unread.judge_expired(stamp, self.byte_ns)
+
+    def _note_split(self, frames: Frames, stamp: int) -> None:
+        """Note a whole answer of which the program read a part, then asked, then read the rest."""
+        for begin, end, _, number, *_, flaw in frames:
+            if begin < self._split < end and flaw is None and self.tracker.pending.slots:
+                self.evidence.add_incident(stamp, ev.SPLIT, number, ev.NOTHING)
+        if frames:
+            self._split = 0
 
     def _report_noise(self, framer: AnyFramer) -> None:
         """Note what the master received that is no packet, before it goes on."""

@@ -39,6 +39,7 @@ _ERRORS_KEPT = 64                  # distinct (instruction, address, error)
 RETURN_LEVEL = 'Status Return Level'
 OFFSET = 'Homing Offset'
 TORQUE = 'Torque Enable'
+PLACE = 'Present Position'
 _SPECIAL = ('ID', 'Baud Rate', RETURN_LEVEL)
 _CALIBRATING = (OFFSET, TORQUE)     # how it is calibrated
 _USES_KEPT = 64
@@ -71,7 +72,8 @@ class Device:
     | registered, moved_to | DeviceRegistry: a Reg Write before its Action; the baud rate that \
     was written, in words |
     | used | record_use(): what a program reads and writes of it while its model is unknown |
-    | table, counts, errors, snapshots | all who store or count |
+    | table, counts, errors, snapshots, place | all who store or count; place: Present Position \
+    as it was some time after the last report |
     """
 
     def __init__(self, number: int, joint: str = '', expected: bool = False) -> None:
@@ -79,6 +81,7 @@ class Device:
         self.joint = joint
         self.expected = expected
         self.table = Table()
+        self.place: bytes | None = None
         self.dialect: Dialect | None = None
         self.identity = b''                        # model number, firmware: as it said, as bytes
         self.identity_stamp = 0
@@ -241,6 +244,11 @@ class Device:
         """Take the snapshot of a second."""
         self.snapshots.append(self.counts.copy())
 
+    def keep_place(self) -> None:
+        """Keep where the joint is, for the next report."""
+        field = self.model.by_name.get(PLACE)
+        self.place = self.table.bytes(field.at, field.size) if field is not None else None
+
     def window(self) -> Counts:
         """Return what happened in the last 10 s (up to a second less)."""
         return self.counts.since(self.snapshots[0])
@@ -256,6 +264,7 @@ def report_device(device: Device, now: int, quiet_s: float) -> tuple[DeviceRepor
     """Return what is known of a device, and a copy of its table: that is decoded later."""
     model = device.model
     name = model.name
+    place, device.place = device.place, None
     if model.number is None:           # a layout by use has a name
         name = 'unknown' if model is UNKNOWN else f'unknown (as {name})'
         name = name if device.model_number is None else f'unknown ({device.model_number})'
@@ -270,7 +279,7 @@ def report_device(device: Device, now: int, quiet_s: float) -> tuple[DeviceRepor
         last_error=device.error_words, status_return_level=device.return_level,
         acks=device.acks, acks_missing=device.acks_missing, observed=(), unobserved=0,
         latency=device.latency_report(now), errors=dict(device.errors), expected=device.expected,
-        moved_to=device.moved_to, quiet_s=quiet_s), device.table.copy()
+        moved_to=device.moved_to, quiet_s=quiet_s, place=place), device.table.copy()
 
 
 @lru_cache(maxsize=256)

@@ -165,6 +165,7 @@ NOT_SENT = IncidentKind[Code]('not sent')
 THROWN_AWAY = IncidentKind[Code]('answers thrown away')       # unread
 WRONG_PACKET = IncidentKind[Code]('wrong packet')             # the master's: none takes it
 HUNG = IncidentKind[Lateness]('question never given up')
+SPLIT = IncidentKind[Nothing]('answer read in part')          # the program asked before its end
 STALE = IncidentKind[Nothing]('stale answers')                # it reads those, not the new ones
 SOURCE_LOST = IncidentKind[Count]('source lost')
 LEFT_OPEN = IncidentKind[Lateness]('last question open')      # it ended too soon to know

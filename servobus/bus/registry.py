@@ -20,6 +20,7 @@ from msg_defs.dxl_packet import BROADCAST
 from servobus.bus import evidence as ev
 from servobus.bus.device import Device
 from servobus.bus.device import OFFSET
+from servobus.bus.device import PLACE
 from servobus.bus.device import RETURN_LEVEL
 from servobus.bus.device import TORQUE
 from servobus.bus.evidence import Evidence
@@ -47,7 +48,6 @@ _RESET_KEEPS: dict[str, tuple[str, ...]] = {
     'all': (), 'all except ID': ('ID',), 'all except ID and Baud Rate': ('ID', 'Baud Rate'),
     '': ('ID', 'Baud Rate'),
 }
-PLACE = 'Present Position'
 _CALIBRATED = (PLACE, OFFSET)
 _DIALECTS = {dialect.protocol: dialect for dialect in DIALECTS}
 _CLEARS = {MULTI_TURN: PLACE, ERROR: 'Hardware Error Status'}

@@ -221,6 +221,7 @@ class DeviceReport(NamedTuple):
     expected: bool = False         # listed in `devices`
     moved_to: str = ''             # the baud rate or ID that was written to it, in words
     quiet_s: float = 0.0           # neither heard nor asked for so long, while the port was open
+    place: bytes | None = None     # Present Position, some time after the report before
 
 
 class Cycle(NamedTuple):

@@ -236,7 +236,8 @@ def _by_direction(known: Sequence[DamagedPacket], flips: Sequence[WrongBit]) -> 
     was, became = ('0', '1') if 2 * ups > len(first) else ('1', '0')
     late = [flip.is_late for flip in flips if flip.is_late is not None]
     if is_single or (late and sum(late) >= NEARLY_ALL * len(late)):
-        return f'{SIGNAL_LEVEL}: {was} read as {became} each time'
+        cause = SIGNAL_LEVEL if was == '0' else f'{SIGNAL_LEVEL}, or {TWO_SENDERS}'
+        return f'{cause}: {was} read as {became} each time'
     return ''
 
 

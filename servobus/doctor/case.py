@@ -429,9 +429,8 @@ class History:
                 continue
             goal, position, tick, voltage = (values.get(name) for name in _SAMPLED)
             samples = self._samples.setdefault(device.id, deque(maxlen=HISTORY_MAX))
-            if is_new and samples and position and samples[-1].position is not None \
-                    and abs(position.value.raw - samples[-1].position) > STILL_MAX_STEPS:
-                self._turned.add(device.id)
+            if samples and position and samples[-1].position is not None:
+                self._note_motion(device, position, samples, samples[-1].position)
             samples.append(Sample(case.now, goal and goal.value.raw,
                                   position and position.value.raw,
                                   tick and tick.value.number, voltage and voltage.value.number))
@@ -439,6 +438,17 @@ class History:
                                            samples[-1].voltage or 0.0)
             while samples[0].stamp < before:
                 samples.popleft()
+
+
+    def _note_motion(self, device: DeviceReport, now: Observed, samples: deque[Sample],
+                     before: float) -> None:
+        """Keep where a joint was between two reports, if it was at neither of their places."""
+        raw = device.place or b''
+        place = now.field.decode(raw).raw if len(raw) == now.field.size else now.value.raw
+        if min(abs(place - before), abs(place - now.value.raw)) > STILL_MAX_STEPS:
+            samples.append(Sample(samples[-1].stamp, None, place, None, None))
+        if abs(place - before) > STILL_MAX_STEPS or abs(now.value.raw - before) > STILL_MAX_STEPS:
+            self._turned.add(device.id)
 
 
 def mark_of(report: BusReport) -> Mark:

@@ -21,7 +21,7 @@ from servobus.port.port_users import PTYS
 from servobus.port.port_users import terminal_id
 from servobus.sources.reader_process import PIPE_SIZE
 from servobus.sources.strace_parser import OPTIONS
-from servobus.sources.strace_parser import PORT
+from servobus.sources.tap_sender import PORT
 
 START_S = 5.0                      # within which strace opens the pipe
 _ABSENT = [f'/dev/tty{kind}{number}' for kind in ('USB', 'ACM') for number in range(16)]

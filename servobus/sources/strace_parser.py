@@ -34,8 +34,9 @@ from msg_defs.event import PURGED
 from msg_defs.event import RTS
 from msg_defs.event import TRACED
 from servobus.sources.tap_sender import OPENED
+from servobus.sources.tap_sender import PORT
+from servobus.sources.tap_sender import TWO_READERS
 
-PORT = re.compile(r'/dev/(?:(?!ttyprintk)tty[A-Za-z]\w*|rfcomm\d+|pts/\d+)')
 AT_ONCE_NS = 200_000               # between two calls: strace, not the program
 AWAY_NS = 500_000                  # who looks as often does not sleep
 TRACED_MIN_NS = 500_000            # strace took so long: worth an event
@@ -150,7 +151,9 @@ class StraceParser:
         if is_resumed:
             text = thread.unfinished + text.partition(b' resumed>')[2]
             thread.unfinished = b''
-        elif text.endswith(_UNFINISHED):
+        else:
+            yield from self._two_readers(thread, text)
+        if text.endswith(_UNFINISHED):
             thread.unfinished = text[:-len(_UNFINISHED)]
             return
         found = _CALL.fullmatch(text)
@@ -232,6 +235,22 @@ class StraceParser:
                 port.looked, port.away_ns = (end, result), away_ns
             else:
                 port.is_awaited = True
+
+    def _two_readers(self, thread: _TracedThread, text: bytes) -> PortEvents:
+        """Say that others wait for bytes of a port where one begins to read it."""
+        port = self._read_port(text)
+        if port is None or not port.holders:
+            return
+        for other in self._threads.values():
+            if other is not thread and self._read_port(other.unfinished, _READS | _WAITS) is port:
+                yield PortEvent(self._now, port.name, TWO_READERS,
+                                value=1 + (other.process != thread.process))
+
+    def _read_port(self, text: bytes, names: frozenset[str] = _READS) -> _TracedPort | None:
+        """Return the first port of a call that reads."""
+        name, _, arguments = text.partition(b'(')
+        found = _FD.search(arguments) if name.decode('latin-1') in names else None
+        return self._port(found[2]) if found else None
 
     def _arrived(self, port: _TracedPort, begin: int, end: int) -> int:
         """Return when the bytes of a read were there: after a wait for them at its end."""

@@ -16,6 +16,7 @@ from contextlib import suppress
 import json
 import os
 import sys
+import threading
 import time
 from typing import Any
 
@@ -40,21 +41,30 @@ class _OpenSerial:
         self.looked_ns = 0                     # when it last wrote, read or looked in vain
         self.read_ns = self.read_cpu_ns = 0    # when it last read, and CPU time then
         self.waits_unseen = False              # it has the descriptor, and waits by itself
+        self.reading: set[int] = set()         # threads that read it now
 
 
 def _wrap_read(sender: Any, original: _Method) -> _Method:
-    put, now = sender.put, time.monotonic_ns
+    put, now, get_ident = sender.put, time.monotonic_ns, threading.get_ident
 
     def read(self: Any, *args: Any, **kwargs: Any) -> Any:
-        began, away = now(), 0
+        began, away, me, reading = now(), 0, get_ident(), set[int]()
         try:
             state = self.__dict__[_STATE]
+            reading = state.reading
+            reading.add(me)
+            if len(reading) > 1:
+                sender.rivals.update(dict.fromkeys([*reading], state.number))
+                sender.number('two_readers', state.number, 1)
             away = began - (state.looked_ns or began)
             if away < AWAY_NS or state.waits_unseen or not self.in_waiting:
                 away = 0
         except Exception:
             pass
-        data = original(self, *args, **kwargs)
+        try:
+            data = original(self, *args, **kwargs)
+        finally:
+            reading.discard(me)
         try:
             state = self.__dict__[_STATE]      # another thread may have closed it
             size = args[0] if args else kwargs.get('size', 1)
@@ -290,8 +300,29 @@ def _end(sender: Any) -> None:
     with suppress(Exception):
         error = getattr(sys, 'last_value', None)       # what sys.excepthook got, any of them
         if isinstance(error, Exception):
-            sender.put('ended', 0, json.dumps(_described(error)).encode())
+            _report_error(sender, error)
     sender.end()
+
+
+def _report_error(sender: Any, error: Exception, is_of_thread: bool = False) -> None:
+    sender.put('ended', 0, json.dumps(_described(error) | {'thread': is_of_thread}).encode())
+
+
+def _watch_threads(sender: Any) -> None:
+    """Report the error that ends a thread, while a port is open."""
+    original = threading.excepthook
+
+    def report(arguments: Any) -> None:
+        with suppress(Exception):
+            if isinstance(arguments.exc_value, Exception) and any(
+                    one.is_open for one in sender.serials):
+                _report_error(sender, arguments.exc_value, True)
+                port = sender.rivals.get(threading.get_ident())
+                if port:
+                    sender.number('two_readers', port, 3)
+        original(arguments)
+
+    threading.excepthook = report
 
 
 def packages_of(error: BaseException) -> set[str]:
@@ -310,9 +341,23 @@ def _described(error: Exception) -> dict[str, Any]:
             'packages': sorted(packages_of(error)), 'python': sys.executable}
 
 
+def _watch_opens(sender: Any) -> None:
+    """Let strace hear the ports that are opened without pyserial."""
+    def look(event: str, arguments: Any) -> None:
+        if event == 'open':
+            with suppress(Exception):
+                if not sys._getframe(1).f_globals['__name__'].startswith('serial.'):
+                    sender.note_open(arguments[0], arguments[2])
+
+    if sys.platform == 'linux':
+        sys.addaudithook(look)
+
+
 def install(sender: Any) -> None:
     """Report everything that this process does through pyserial."""
     sys.meta_path.insert(0, _Finder(sender))
+    _watch_opens(sender)
+    _watch_threads(sender)
     atexit.register(_end, sender)
     leave = os._exit                           # how children of multiprocessing end
 

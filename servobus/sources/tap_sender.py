@@ -19,6 +19,7 @@ from collections import deque
 from contextlib import suppress
 import json
 import os
+import re
 import socket
 import stat
 import struct
@@ -36,14 +37,17 @@ TRACE = b'trace '                          # the process that strace shall hear 
 SUFFIX = '.tap'                            # ends the name of a listener's socket
 
 # A record: its kind as a place in KINDS, the number of the port, a stamp (ns, monotonic), the size
-# of what follows. All kinds but OPENED, ENDED and hello are names of msg_defs/event.py.
+# of what follows. Kinds but OPENED, ENDED, TWO_READERS and hello are names of msg_defs/event.py.
 HEAD = struct.Struct('<BHqI')
 OPENED, ENDED = 'opened', 'ended'
+TWO_READERS = 'two_readers'                # wait for bytes at once; 1: threads, 2: processes
+HAS_DIED = 3                               # its value where one of these threads did
 KINDS = ('hello', OPENED, 'closed', 'out', 'in', 'baud', 'purged', 'not_sent', 'lost', 'unread',
          ENDED, 'dtr', 'rts', 'gave_up_us', 'traced_us', 'away_us', 'busy_us',
-         'line_mode')
+         'line_mode', TWO_READERS)
 NUMBER = struct.Struct('<q')               # what follows the others
 
+PORT = re.compile(r'/dev/(?:(?!ttyprintk)tty[A-Za-z]\w*|rfcomm\d+|pts/\d+)')
 QUEUED_RECORDS_MAX = 20_000                # records that wait for the thread
 PENDING_MAX_BYTES = 4_000_000              # bytes that wait for a reader
 POLL_S = 0.02
@@ -180,8 +184,10 @@ class Sender:
         self._ports: dict[int, tuple[bytes, int]] = {}     # number: name, rate
         self._announced: set[int] = set()      # ports that listeners know as open
         self.serials: WeakSet[Any] = WeakSet() # the ports of pyserial that were opened
+        self.rivals: dict[int, int] = {}       # threads that read a port at once: its number
         self._numbers = 0
         self._is_traced = False                # strace hears the ports of this process
+        self._has_asked = False                # for strace
         self._readers: dict[str, _TapPeer] = {}
         self._forget()
         self._mark(LOADED)
@@ -244,8 +250,9 @@ class Sender:
 
     def give_way(self) -> None:
         """Ask for strace, where a library opens ports by itself; wait until it is there."""
-        if sys.platform != 'linux' or self._is_traced:
+        if sys.platform != 'linux' or self._has_asked or TAP_MARK not in os.environ:
             return
+        self._has_asked = True
         import ctypes
 
         ctypes.CDLL(None).prctl(_SET_PTRACER, ctypes.c_ulong(-1), 0, 0, 0)     # else ancestors
@@ -255,6 +262,15 @@ class Sender:
             time.sleep(POLL_S / 10)
             with open('/proc/self/status') as file:
                 self._is_traced = '\nTracerPid:\t0\n' not in file.read()
+
+    def note_open(self, path: Any, flags: int) -> None:
+        """Ask for strace before the program opens a serial port for writing by itself."""
+        if not flags & os.O_ACCMODE or self._has_asked:
+            return
+        status = os.stat(path)
+        if stat.S_ISCHR(status.st_mode) and PORT.fullmatch(os.path.realpath(os.fsdecode(path))) \
+                and status.st_rdev not in [os.fstat(number).st_rdev for number in range(3)]:
+            self.give_way()
 
     def end(self) -> None:
         """Let readers have what they did not get yet, but not for long."""

@@ -461,7 +461,7 @@ def foreign_answers(case: Case, device: DeviceReport) -> Found | None:
     """
     unasked = case.count(ev.UNASKED, device)
     if unasked < INCIDENTS_MIN or case.count(ev.PROTOCOL_1, device) \
-            or case.count(ev.SECOND_ANSWER, device) >= SECOND_ANSWERS_FACTOR * unasked:
+            or case.count(ev.SECOND_ANSWER) >= SECOND_ANSWERS_FACTOR * unasked:
         return None
     return Claim(f'{unasked} answers that this master did not ask for: another master, '
                  'on a segment that is not monitored; find and stop it',

@@ -97,12 +97,16 @@ _PRO = {562: 'Torque Enable', 596: 'Goal Position', 600: 'Goal Velocity', 604: '
                     'no acknowledgements', 'wrong length', 'restart', 'slow cycle'})
 def unread_answers(case: Case) -> Claims:
     """
-    Bytes of earlier answers wait each time it asks, and answers are missed or damaged.
-
-    Only Python with pyserial is known so well.
+    It asks in the middle of an answer; or (Python with pyserial) some wait and others are missed.
 
     Do: read whole answers, and clear the input before each question.
     """
+    split = case.count(ev.SPLIT)
+    if split >= INCIDENTS_MIN:
+        yield Claim(f'the program reads a part of an answer and asks on, {split} times in 10 s: '
+                    'let it read until the answer is whole, or its time-out is over',
+                    {'read in part': split}, covers=tuple(case.by_id))
+        return
     if not case.count(ev.STALE):
         return
     seen = 'each time the program asks, bytes of earlier answers still wait to be read'

@@ -98,8 +98,8 @@ def two_masters(case: Case) -> Claims:
     """
     Two independent rhythms of instructions.
 
-    Or answers are lost while another program, or a second one that was started, has the port
-    open, or one reads after the other has asked.
+    Or answers are lost while another program has the port open, two threads read at once, or one
+    reads after the other has asked.
 
     Do: find the second program; give threads one lock.
     """
@@ -116,7 +116,8 @@ def two_masters(case: Case) -> Claims:
                     'lost or damaged: let only one use it',
                     {'missed answers': lost, 'damaged packets': case.damage}, is_certain=True)
         return
-    if case.has_sides and harm < INCIDENTS_MIN:
+    hasty = sum(not one.is_spoilt and one.us < FACTORY_DELAY_US for one in case.waits(WINDOW_S))
+    if case.has_sides and min(harm, hasty) < INCIDENTS_MIN:
         return                                 # one program with two timers, or with a lock
     pair = _independent_rhythms(case)
     if pair is not None:

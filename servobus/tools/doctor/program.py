@@ -9,6 +9,7 @@ there is no fcntl, termios or pty, too.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from collections.abc import Sequence
 import json
@@ -40,7 +41,9 @@ from servobus.sources.source import Source
 from servobus.sources.tap_reader import TapReader
 from servobus.sources.tap_reader import TapRecord
 from servobus.sources.tap_sender import ENDED
+from servobus.sources.tap_sender import HAS_DIED
 from servobus.sources.tap_sender import OPENED
+from servobus.sources.tap_sender import TWO_READERS
 from servobus.tools.doctor import explain
 from servobus.tools.doctor.verdict import Trouble
 from servobus.tools.start_program import StartedProgram
@@ -50,6 +53,7 @@ TICK_S = 0.1
 LAST_RECORDS_WAIT_S = 1.0          # for what the program said last
 CRASHES = {getattr(signal, f'SIG{name}', None) for name in (
     'ILL', 'TRAP', 'ABRT', 'BUS', 'FPE', 'SEGV', 'SYS')}
+OVERLAPS_MIN = 3                   # two that read at once: at its end a program may do so once
 TURNS_OF_TWO = 4                   # between two who ask: a parent that hands on has fewer
 LEFT_AFTER_S = 0.5                 # a process that still runs then has closed our connection
 _LEFT = ('the program closed the connection of the tap after {:.1f} s; what it sent and received '
@@ -76,12 +80,17 @@ class Ending(NamedTuple):
     is_over: bool = True
     signal: int = 0                # that ended it, 0: none
     missed: tuple[str, ...] = ()   # why not all of it was heard
+    is_of_thread: bool = False     # the error ended a thread, not all of it
 
     @property
     def failed(self) -> str:
         """Whether it ended by itself with an error that may be of the bus (bus/report.py)."""
         if not self.code or self.was_stopped:
             return ''
+        return FAILED if self.is_of_thread else self._cause
+
+    @property
+    def _cause(self) -> str:
         if _REFUSED_RATE.search(self.error):
             return RATE_REFUSED
         is_of_library = self.packages & SERVO_LIBRARIES or any(
@@ -94,11 +103,12 @@ class Ending(NamedTuple):
         return signal.strsignal(self.signal) or '' if self.signal else ''
 
     def trouble(self) -> Trouble | None:
-        """Return what is wrong with a program that its servo library has ended."""
-        if self.failed not in (RAISED, RATE_REFUSED):
+        """Return what is wrong with a program that its servo library has ended, or a thread of."""
+        if (not self.is_of_thread and not self.failed) or self._cause == FAILED:
             return None
         means = explain.find(self.error)
-        return Trouble(Level.WARN, 'the program', '', f'it ended with {self.error}',
+        who = 'a thread of it' if self.is_of_thread else 'it'
+        return Trouble(Level.WARN, 'the program', '', f'{who} ended with {self.error}',
                        means[0].means if means else '')
 
     def unknowns(self) -> list[str]:
@@ -126,6 +136,7 @@ class Openings:
     def __init__(self) -> None:
         self.is_robbed = False
         self.found: dict[str, str] = {}
+        self._overlaps = Counter[str]()
         self._ports: dict[str, tuple[set[int], list[int]]] = {}        # who wrote, in turns
 
     def count_record(self, bus: str, record: TapRecord) -> None:
@@ -135,6 +146,11 @@ class Openings:
             opened.add(record.opening)
         elif record.kind == CLOSED:
             opened.discard(record.opening)
+        elif record.kind == TWO_READERS:
+            opened.add(0)                      # as if it were open twice
+            self._overlaps[bus] += 1
+            if record.value == HAS_DIED or self._overlaps[bus] >= OVERLAPS_MIN:
+                self.found[bus] = STOLE_REPLIES if record.value > 1 else self.found.get(bus, OWN)
         elif record.side == IN:                # another has asked since it did
             self.is_robbed |= is_other and record.opening in turns
         elif record.side and is_other:
@@ -237,7 +253,7 @@ class Program(Source):
             ended: dict[str, Any] = json.loads(record.data)
             self._ending = Ending(error=printable(' '.join(ended['error'].split())),
                                   packages=frozenset(ended['packages']),
-                                  python=ended['python'])
+                                  python=ended['python'], is_of_thread=ended['thread'])
             self._openings.is_robbed |= _ROBBED in self._ending.error
         if record.kind == OPENED and record.port not in self.ports:
             self.ports.append(record.port)
