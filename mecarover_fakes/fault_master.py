@@ -140,3 +140,17 @@ class Jitter(Effect):
         self.pace.jitter = 0.8
         yield
         self.pace.jitter = 0.0
+
+
+class LateCycles(Effect):
+    """The master begins 6 % of its cycles 1.5 periods late, and goes on from there."""
+
+    def play(self) -> Play:
+        self._usual = self.pace.period
+        yield
+        self.pace.period = self._usual
+
+    def ask(self) -> Asks:
+        is_late = self.rng.random() < 0.06
+        self.pace.period = self._usual * 5 // 2 if is_late else self._usual
+        return ()

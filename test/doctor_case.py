@@ -78,7 +78,7 @@ COUNTERS = dict.fromkeys(('Bytes', 'Packet Bytes', 'Packets', 'Instructions', 'N
 
 
 def case(*devices, notes=(), counters=None, marks=None, samples=None, repeats=None, rhythms=None,
-         steady=None, quiet_s=0.0, **report):
+         steady=None, quiet_s=0.0, loop=((), ()), **report):
     """Return a bus of 1 MBd, heard since 60 s. marks: what was counted, by how long ago (s)."""
     by_kind = {}
     for one in notes:
@@ -93,7 +93,7 @@ def case(*devices, notes=(), counters=None, marks=None, samples=None, repeats=No
         deque(Mark(**{**(nothing if age else now), 'stamp': NOW - int(age * S), **values})
               for age, values in sorted((marks or {10: {}, 0: {}}).items(), reverse=True)),
         {number: deque(some) for number, some in (samples or {}).items()}, repeats or {},
-        rhythms or [], steady or set())
+        rhythms or [], steady or set(), loop=loop[0], late=loop[1])
     found.quiet_s, found.run_from = quiet_s, told.started
     return found
 
@@ -182,6 +182,12 @@ def _cycles(ids=(), ago_ns=(0,), every_ms=0, times=1, ago_ms=0.0, apart=0.0, of=
                  stamps=[NOW - ago for ago in ago_ns], **parts)]
 
 
+def _loop(late, usual, uneven=0, every_s=0.75, ago_s=2.0):
+    late = [NOW - int((ago_s + every_s * n) * S) for n in reversed(range(late))]
+    return ([(NOW, 10 * MS)] * usual + [(NOW, 13 * MS)] * uneven + [(at, 25 * MS) for at in late],
+            late)
+
+
 def _waits(us, device=1, times=1, ago_s=0.0, spoilt=False, asks='READ'):
     return [Wait(NOW - int(ago_s * S), us, device, spoilt, I[asks])] * times
 
@@ -202,6 +208,7 @@ _READ = {
     'notes': lambda rows: [one for row in rows for one in notes_of(**row)],
     'cycles': lambda rows: tuple(one for row in rows for one in _cycles(**row)),
     'noise': bytes.fromhex,
+    'loop': lambda of: _loop(**of),
     'waits': lambda rows: tuple(one for row in rows for one in _waits(**row)),
     'samples': lambda of: {number: [_sample(*row) for row in rows]
                            for number, rows in of.items()},

@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The doctor's rules about time and what they are made of: edges, words, what is remembered."""
 
+from itertools import accumulate
 from pathlib import Path
+from random import Random
 
 from doctor_case import asks
 from doctor_case import blurred
@@ -32,6 +34,7 @@ from servobus.doctor.case import History
 from servobus.doctor.case import key_of
 from servobus.doctor.case import Sample
 from servobus.doctor.case import TwoClocks
+from servobus.doctor.engine import Doctor
 from servobus.doctor.facts import is_collision
 from servobus.doctor.facts import ran_into_answers
 from servobus.doctor.rhythm import is_independent
@@ -335,6 +338,37 @@ def test_a_cycle_that_was_regular_and_is_not(gaps, parts, is_told):
                               'steady': {key_of(cycle)}, **parts})
     assert [dict(one.evidence) for one in found if isinstance(one, Claim)] == [
         {'spread': '0.67', 'cycle (ms)': '20.0 to 40.0, usually 30.0'}] * is_told
+
+
+CHANCE = Random(1)
+LATE = [25.0 if CHANCE.random() < 0.06 else 10.0 for _ in range(1400)]
+FROM_0 = list(accumulate(LATE))
+MADE_UP = [10 * n + (15 if n % 16 == 0 else 7 if n % 16 == 1 else 0) for n in range(1400)]
+
+
+@pytest.mark.parametrize(('stamps_ms', 'others_ms', 'has_sides', 'is_told'), [
+    (FROM_0, (), False, True), (MADE_UP, (), True, True), (MADE_UP, (), False, False),
+    (accumulate([10.0] * 700 + [70.0] + [10.0] * 700), (), True, False),
+    (accumulate(LATE[:250] + [10.0] * 1200), (), True, False),
+    (accumulate(CHANCE.uniform(10, 11) for _ in range(1400)), (), True, False),
+    (accumulate(20.0 if one > 10 else one for one in LATE), (), False, False),
+    (FROM_0, [at - before for at, gap in zip(FROM_0, LATE, strict=True) if gap > 10
+              for before in (23, 17, 11)], True, False),
+    (FROM_0, [at - 23 for at, gap in zip(FROM_0, LATE, strict=True) if gap > 10], True, False),
+    (sorted([*range(0, 14000, 10), *range(5, 14000, 170)]), (), True, False),
+    ([max(at, at // 160 * 160 + 25) for at in range(0, 14000, 10)], (), False, False),
+], ids=['late', 'made up for', 'or the listener', 'one pause', 'at the start', 'sleeps', 'lost',
+        'health', 'unanswered', 'two loops', 'listener'])
+def test_cycles_that_are_late(stamps_ms, others_ms, has_sides, is_told):
+    doctor, found = Doctor(), set()
+    asked = [[NOW + int(at * MS) for at in all_ms] for all_ms in (stamps_ms, others_ms)]
+    for now in range(NOW, asked[0][-1], 750 * MS):
+        cycles = [asks(I.SYNC_READ, *ids, stamps=[at for at in stamps if at <= now][-64:])
+                  for ids, stamps in zip(((1, 2), (3,)), asked, strict=True)]
+        found |= {one.rule for one in doctor.examine(case(
+            cycles=[one for one in cycles if one.stamps], stamp=now, has_sides=has_sides,
+            metrics=blurred(1.0)).report).findings}
+    assert ('late_cycles' in found) == is_told
 
 
 @pytest.mark.parametrize(('off_s', 'is_told'), [(1.1, True), (1.0, False), (0.1, False)])

@@ -35,10 +35,14 @@ from servobus.doctor.bit_errors import damaged_packets
 from servobus.doctor.bit_errors import DamagedPacket
 from servobus.doctor.bit_errors import describe_damage
 from servobus.doctor.bit_errors import expected_packets
+from servobus.doctor.rhythm import find_late_cycles
+from servobus.doctor.rhythm import LATE_DECIDED_AFTER
+from servobus.doctor.rhythm import loop_of
 from servobus.doctor.rhythm import PeriodicTimer
 from servobus.doctor.rhythm import Rhythm
 from servobus.doctor.rhythm import rhythms
 from servobus.doctor.rhythm import two_timers
+from servobus.doctor.thresholds import BLUR_FACTOR
 from servobus.doctor.thresholds import GONE_S
 from servobus.doctor.thresholds import STILL_MAX_STEPS
 from servobus.doctor.thresholds import WINDOW_NS
@@ -133,6 +137,8 @@ class Case:
     clocks: Sequence[TwoClocks] = ()   # instructions that two loops repeat
     highest: dict[int, float] = field(default_factory=dict)    # V of each device, since the start
     turned: set[int] = field(default_factory=set)      # devices that were seen turning
+    loop: Sequence[tuple[int, int]] = ()    # cycles of the fastest: when each ended, how long
+    late: Sequence[int] = ()           # when one of these began late
 
     def __post_init__(self) -> None:
         report = self.report
@@ -311,6 +317,8 @@ class History:
         self._highest: dict[int, float] = {}
         self._turned: set[int] = set()
         self._clocks: dict[Key, TwoClocks] = {}
+        self._loop: deque[tuple[int, int]] = deque(maxlen=HISTORY_MAX)
+        self._late: deque[int] = deque(maxlen=HISTORY_MAX)
         self._asked = self._pause = 0  # stamp of the last instruction, and how old it was
         self._run_from = self._overlapped = 0
         self._pauses: deque[tuple[int, int]] = deque(maxlen=HISTORY_MAX)
@@ -335,6 +343,7 @@ class History:
             self._rhythms = (report.stamp, rhythms(report.cycles, report.stamp, report.baud))
             self._steady |= {key_of(one.cycle) for one in self._rhythms[1] if one.is_even}
             self._find_clocks(report, before)
+            self._store_loop(report, before)
         case = Case(report, self._seen, self._marks, self._samples, self._repeats,
                     self._rhythms[1], self._steady, self._names,
                     self._quiet_s(report),
@@ -342,7 +351,7 @@ class History:
                     run_from=self._run_from,
                     has_overlaps=0 < self._overlapped > before,
                     clocks=[*self._clocks.values()], highest=self._highest,
-                    turned=self._turned)
+                    turned=self._turned, loop=self._loop, late=self._late)
         self._store_samples(case, before)
         for rhythm in case.rhythms if fresh else ():
             self._repeats.update(
@@ -364,6 +373,22 @@ class History:
                                                           NS_PER_MS * _blur_ms(report))
             if timers is not None:
                 self._clocks[key_of(rhythm.cycle)] = TwoClocks(report.stamp, rhythm.cycle, timers)
+
+    def _store_loop(self, report: BusReport, before: int) -> None:
+        """Remember the last cycles of the fastest loop; the newest are decided later."""
+        last = self._loop[-1][0] if self._loop else 0
+        if self._rhythms[1]:
+            loop = loop_of(self._rhythms[1])
+            self._loop.extend([one for one in zip(
+                loop.cycle.stamps[1:], loop.periods[:-LATE_DECIDED_AFTER], strict=False)
+                if one[0] > last])
+            self._late.extend([stamp for stamp in find_late_cycles(
+                loop, report.cycles, report.baud, BLUR_FACTOR * NS_PER_MS * _blur_ms(report),
+                report.has_sides) if stamp > last])
+        while self._loop and self._loop[0][0] < before:
+            self._loop.popleft()
+        while self._late and self._late[0] < before:
+            self._late.popleft()
 
     def _recognise_damage(self, report: BusReport, before: int) -> list[DamagedPacket]:
         """Return the damaged packets of the window; those of this report are looked at now."""

@@ -16,12 +16,14 @@ from bisect import bisect_right
 from collections.abc import Iterator
 from collections.abc import Sequence
 from itertools import pairwise
+from math import inf
 from operator import le
 from operator import sub
 from typing import NamedTuple
 
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.uart import byte_ns
+from msg_defs.units import NS_PER_MS
 from msg_defs.units import NS_PER_S
 from servobus.bus.report import Cycle
 
@@ -43,6 +45,11 @@ PHASE_BINS = 16                    # parts of a period; one program's own instru
 ALTERNATE_MIN_SHARE = 0.9          # share of the periods, with just one of the other in it
 MULTIPLE_TOLERANCE = 0.05          # relative: from the next whole number
 CLOCK_TOLERANCE = 0.02             # the same, of means of many periods, of those of a clock
+LATE_MIN_FACTOR = 1.5              # times the period: a cycle that was late
+LATE_MAX_FACTOR = 8.0              # a longer one is a pause
+LATE_MIN_NS = 3 * NS_PER_MS        # a sleep ends later than it should by less
+LATE_MIN_SILENT_SHARE = 0.7        # share of what it was late
+LATE_DECIDED_AFTER = 12            # periods, in which a listener makes up for what it was late
 TIMER_MIN_STAMPS = 8
 TIMER_MIN_FILL = 0.85              # share of its stamps that are there: some ran into others
 TIMERS_MIN_COVERAGE = 0.9          # share of the stamps that the two account for
@@ -221,6 +228,60 @@ def is_independent(one: Rhythm, other: Rhythm) -> bool:
             inside += 1
             bins.add(int(PHASE_BINS * (stamp - stamps[at]) / (stamps[at + 1] - stamps[at] or 1)))
     return inside >= OVERLAP_MIN_PERIODS and len(bins) >= min(PHASE_BINS // 2, inside // 2)
+
+
+# --- late cycles ---------------------------------------------------------------------------------
+
+def loop_of(found: Sequence[Rhythm]) -> Rhythm:
+    """Return the rhythm that has the most periods in a time: one of the fastest loop."""
+    means = [(one.cycle.stamps[-1] - one.cycle.stamps[0]) / len(one.periods) for one in found]
+    most = (1 + SAME_PERIOD_SHARE) * min(means)
+    return next(one for one, mean in zip(found, means, strict=True) if mean <= most)
+
+
+def find_late_cycles(loop: Rhythm, cycles: Sequence[Cycle], baud: int, blur_ns: float,
+                     has_sides: bool) -> list[int]:
+    """
+    Return when a cycle began late (ns).
+
+    The line is silent then, after what is not asked in late cycles only: the program has no
+    reason. Whole periods are repetitions that were left out. A listener that is late makes up for
+    it, as some loops do: only stamps of the program, with its sides, show which it was.
+    """
+    stamps, usual = loop.cycle.stamps, max(1, loop.period)
+    least = max(LATE_MIN_FACTOR * usual, usual + max(LATE_MIN_NS, blur_ns))
+    periods = loop.periods[:-LATE_DECIDED_AFTER]
+    if max(periods, default=0) < least:
+        return []
+    silences = _silences(stamps, cycles, baud)
+    usual_ns = sorted(silences)[len(silences) // 2][0]
+    usual_before = {before for (_, before), period in zip(silences, periods, strict=False)
+                    if period < least}
+    return [stamps[at + 1] for at, period in enumerate(periods)
+            if least <= period <= LATE_MAX_FACTOR * usual
+            and not is_whole(period / usual, SAME_PERIOD_SHARE * usual / period)
+            and silences[at][0] - usual_ns > LATE_MIN_SILENT_SHARE * (period - usual)
+            and silences[at][1] in usual_before
+            and (has_sides
+                 or not _is_made_up_for(stamps[at:at + 2 + LATE_DECIDED_AFTER], usual))]
+
+
+def _silences(stamps: Sequence[int], cycles: Sequence[Cycle], baud: int
+              ) -> list[tuple[float, int]]:
+    """Return the longest silence (ns) of each period, and the place of what was asked before."""
+    asked = sorted((stamp, stamp + answer_ns(cycle, baud), place)
+                   for place, cycle in enumerate(cycles) for stamp in cycle.stamps)
+    found = []
+    for begin, end in pairwise(stamps):
+        inside = asked[bisect_left(asked, (begin,)):bisect_right(asked, (end, inf))]
+        found.append(max((two - over, place) for (_, over, place), (two, *_) in pairwise(inside)))
+    return found
+
+
+def _is_made_up_for(stamps: Sequence[int], period: float) -> bool:
+    """Tell whether the cycles after a late one are back in their places."""
+    return any(stamp - stamps[0] < (places + EVEN_MAX_SPREAD) * period
+               for places, stamp in enumerate(stamps[2:], 2))
 
 
 # --- two timers in one instruction ---------------------------------------------------------------

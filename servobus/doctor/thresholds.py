@@ -6,6 +6,7 @@ from msg_defs.units import NS_PER_S
 
 WINDOW_S = 10.0                    # what is older says nothing of now
 WINDOW_NS = int(WINDOW_S * NS_PER_S)
+BLUR_FACTOR = 3                    # times the resolution: what is narrower is not a finding
 INCIDENTS_MIN = 3                  # that show a cause: one or two of a kind happen by chance
 GONE_S = 1.5                       # unanswered for so long: gone, rather than starting again
 SUPPLY_MIN_DEVICES = 3             # as many have the same trouble: it is their supply

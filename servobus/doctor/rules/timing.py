@@ -37,6 +37,7 @@ from servobus.doctor.facts import is_overlaid
 from servobus.doctor.facts import ran_into_answers
 from servobus.doctor.rhythm import answer_ns
 from servobus.doctor.rhythm import answered_within_ns
+from servobus.doctor.rhythm import EVEN_MAX_SPREAD
 from servobus.doctor.rhythm import is_independent
 from servobus.doctor.rhythm import is_locked
 from servobus.doctor.rhythm import is_multiple
@@ -53,17 +54,22 @@ from servobus.doctor.rule import Rule
 from servobus.doctor.rule import STOP_OTHERS
 from servobus.doctor.symptom import DAMAGE
 from servobus.doctor.symptom import SILENCE
+from servobus.doctor.thresholds import BLUR_FACTOR
 from servobus.doctor.thresholds import INCIDENTS_MIN
 from servobus.doctor.thresholds import WINDOW_S
 
 SAME_LATENESS_NS = 3 * NS_PER_MS    # late answers closer than this belong to one
 LOAD_BUSY_PERCENT = 75.0           # wire time: the rest leaves no room for a retry
 LOAD_WINDOW_S = 3.0                # a few cycles, even of a slow master
-BLUR_FACTOR = 3                    # times the resolution: what is narrower is not a finding
 RETURN_DELAY_MS = (0.4, 0.7)       # a Return Delay Time of 500 us, as measured
 RETURN_DELAY_SPREAD_MS = 0.15      # a delay that is set varies less than one of an adapter
 RETURN_DELAY_MIN_ANSWERS = 5       # the spread of fewer is small by chance
 JITTER_MIN_SPREAD = 0.5            # relative to the cycle
+LATE_CYCLES_MIN = 5                # that no time-out for an answer explains
+LATE_CYCLES_MIN_SHARE = 0.02       # share of the cycles; fewer are not felt
+LATE_CYCLES_MIN_S = 3.0            # from the first to the last: a start or a pause is shorter
+LATE_CYCLES_WITHIN_S = 2.0         # since the last
+USUAL_MIN_SHARE = 0.6              # share of the cycles; fewer, and it has no rhythm
 JITTER_ONSET_S = 3.0               # a computer that is busy for a moment is not a finding
 LATENCY_TIMER_MS = (15.0, 18.5)    # a latency timer of 16 ms, and what its host adds
 LATENCY_TIMER_MAX_PER_S = 70       # answers; with 16 ms each there cannot be more
@@ -448,7 +454,7 @@ def _measured_ms(device: DeviceReport) -> float:
 
 @Rule(subject='bus', onset_s=JITTER_ONSET_S,
       symptoms={'uneven rhythm'},
-      accounts_for={'slow cycle'})
+      accounts_for={'uneven rhythm', 'slow cycle'})
 def jitter(case: Case) -> Claims:
     """
     A regular loop lost its rhythm.
@@ -471,6 +477,36 @@ def jitter(case: Case) -> Claims:
                     {'spread': f'{best.spread:.2f}',
                      'cycle (ms)': f'{low:.1f} to {high:.1f}, '
                                    f'usually {best.period / NS_PER_MS:.1f}'})
+
+
+@Rule(subject='bus',
+      symptoms={'uneven rhythm'},
+      accounts_for={'slow cycle'})
+def late_cycles(case: Case) -> Claims:
+    """
+    A few cycles of a regular loop begin late.
+
+    Where it makes up for that: needs a source that knows who sent what.
+
+    Do: as for `jitter`.
+    """
+    late, least = case.late, max(LATE_CYCLES_MIN, LATE_CYCLES_MIN_SHARE * len(case.loop) + 1)
+    if len(late) - len(case.waits(WINDOW_S)) < least \
+            or late[-1] - late[0] < LATE_CYCLES_MIN_S * NS_PER_S \
+            or late[-1] < case.stamp_ago(LATE_CYCLES_WITHIN_S):
+        return
+    periods = sorted(period for _, period in case.loop)
+    middle = periods[len(periods) // 2]
+    usual = sum(abs(one - middle) < EVEN_MAX_SPREAD * middle for one in periods)
+    if usual < USUAL_MIN_SHARE * len(periods):
+        return
+    rank = 95 if len(late) > 0.05 * len(periods) else 98
+    high = periods[-1 - len(periods) * (100 - rank) // 100]
+    yield Claim(f'the loop is {middle / NS_PER_MS:.1f} ms a cycle at the median, '
+                f'{high / NS_PER_MS:.0f} ms at the {rank}th percentile: a busy computer, or slow '
+                'work in it; give it a higher priority',
+                {'late cycles': f'{len(late)} of {len(periods)}',
+                 'longest (ms)': f'{periods[-1] / NS_PER_MS:.1f}'})
 
 
 @Rule(subject='bus or device', level=Level.OK, onset_s=1.0,
@@ -522,4 +558,4 @@ def _faster_ways(case: Case, within_ns: float) -> Iterator[str]:
 
 
 RULES = (two_masters, impatient_master, late_answers, wrong_length, latency_timer, bus_too_slow,
-    jitter, return_delay, cycle_time)
+    jitter, late_cycles, return_delay, cycle_time)
