@@ -703,7 +703,8 @@ def group_read_unanswered(case: Case) -> Claims:
 def _is_lost_there_only(case: Case, cycle: Cycle, device: DeviceReport) -> bool:
     """Tell whether a device is lost in this instruction, and in no other one."""
     lately = case.recent_counts(device, ANSWERS_OTHERWISE_S)
-    if 0 < lately.answers == lately.pongs or device.totals.missed < MISSED_ALIKE_MIN_SHARE * cycle.missed \
+    if 0 < lately.answers == lately.pongs \
+            or device.totals.missed < MISSED_ALIKE_MIN_SHARE * cycle.missed \
             or device.window.answers - device.window.pongs < GROUP_READS_MIN \
             or _may_come_late(case, device):
         return False
