@@ -145,14 +145,15 @@ function alertsOf(group) {
 function alertOf(group, {state, message, devices}) {
   const [first] = devices;
   const isMany = devices.length > 1;
-  return {state, message: isolate(message), key: `${first.name} ${isMany}`, devices, isMany,
+  return {state, message: isolate(message), key: `${first.name} ${isMany}`, devices,
+    isShared: isMany && state !== 'error',
     names: list(devices.map(isMany ? ({id}) => id3(id) : deviceName)),
     href: isMany ? path('devices', group.key) : path('device', first.name)};
 }
 
 function showDevices({children: [, , servos, list], newest: {group, store}}) {
-  // One message of several devices is said once, below the cards of those that answer.
-  const shared = new Set(group.alerts.filter(({isMany}) => isMany)
+  // What several devices say that wait is said once, below the cards.
+  const shared = new Set(group.alerts.filter(({isShared}) => isShared)
     .flatMap(({devices}) => devices));
   showServos(servos, group.devices.filter((one) => one.live || !shared.has(one)).sort(byUrgency),
     store, shared);
@@ -161,10 +162,11 @@ function showDevices({children: [, , servos, list], newest: {group, store}}) {
   each(list, group.alerts, (alert) => alert.key, makeAlert, updateAlert);
 }
 
-const makeAlert = ({href, isMany}) => h('li', {'data-many': String(isMany ?? true)},
+const makeAlert = ({href}) => h('li', {},
   h('a', {class: 'alert', href}, icon('warn'), h('p', {}, h('b'), ' ', h('span'))));
 
 function updateAlert(item, alert) {
+  set(item, 'data-shared', String(alert.isShared ?? true));
   const [symbol, text] = item.firstChild.children;
   set(item.firstChild, 'data-state', alert.state);
   setIcon(symbol, alert.state);
