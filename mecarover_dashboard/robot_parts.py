@@ -8,14 +8,15 @@ reader, the history, /metrics, the alerts and mecarover_status. What is not repo
 """
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable
 from collections.abc import Sequence
 import re
+from textwrap import shorten
 from typing import Any
 from typing import NamedTuple
 
 from msg_defs import status_keys as keys
+from msg_defs.reports import DRIVING
 from msg_defs.reports import Level
 from msg_defs.reports import SEVERITY
 from msg_defs.reports import status_name
@@ -31,6 +32,7 @@ _OF_ALL = (*UNKNOWN, NONE_ANSWERS)      # the problem of each of its devices
 _AWAY = ('disconnected', 'expected')
 _LEVEL_WORDS = {Level.ERROR: FAULT, Level.STALE: SILENT, Level.WARN: WARNING}
 _MOST_NAMED = 4                              # devices in a sentence
+_BEGINNING_MAX = 40                          # characters of a message in a tab
 
 
 class RobotPart(NamedTuple):
@@ -42,8 +44,9 @@ class RobotPart(NamedTuple):
     | row_name | the status whose history has its events |
     | bus | None: it is the bridge |
     | problems | of the words above, the first one first in the text; none if it is well |
-    | mark | for the tab: '2 lost, 1 error' |
-    | text | the sentence about it: one problem does not hide another |
+    | mark | for the tab: '2 problems: 007 silent; 003 too hot' |
+    | headline | for the page, where each device says itself what to do |
+    | text | all sentences about it: one problem does not hide another |
     | ids | the devices that are named |
     | of_part | what is said of the part as a whole, '' where only devices have a problem |
     | since | monotonic s of its last report, None while it reports |
@@ -57,6 +60,7 @@ class RobotPart(NamedTuple):
     level: Level
     problems: tuple[str, ...]
     mark: str
+    headline: str
     text: str
     ids: tuple[int, ...] = ()
     of_part: str = ''
@@ -148,25 +152,47 @@ def _bus(node: str, bus: str, row: Row | None, devices: list[Row]) -> RobotPart:
         level, found = Level.ERROR, [_Problem(PORT_CLOSED, message)]
     else:
         level, found = _judged(Level.OK if row is None else level_of(row), message, devices, live)
-    mark = _mark(found)
+    mark, well = _mark(found), '' if found else _well(devices, message)
+    general = [one.text for one in found if not one.devices]
+    headline = '; '.join(filter(None, (*general, _mark([one for one in found if one.devices]))))
     return RobotPart(
         status_name(node, f'bus {bus}'.strip()), (row or devices[0])['robot'], node, bus, level,
         tuple(dict.fromkeys(one.word for one in found)),
-        f'{bus}: {mark}' if bus and mark else mark,
-        '; '.join(one.text for one in found) or _well(devices, message),
+        f'{bus}: {mark}' if bus and mark else mark, headline or well,
+        '; '.join(one.text for one in found) or well,
         tuple(device['id'] for one in found for device in one.devices),
-        next((one.text for one in found if not one.devices), ''), since, live, len(devices))
+        general[0] if general else '', since, live, len(devices))
 
 
 def _mark(found: list[_Problem]) -> str:
-    """Return '2 lost, 1 error'; the word alone where it is about the bus."""
-    count: Counter[str] = Counter()
+    """Return '2 problems: 007 silent; 003 too hot'; one alone is not counted."""
+    ids: dict[str, list[str]] = {}
     for one in found:
-        count[one.word] += max(1, len(one.devices))
-    counted = {one.word for one in found if one.devices}
-    return ', '.join(
-        f'{number} {word}{"s" if number > 1 and word in (FAULT, WARNING) else ""}'
-        if word in counted else word for word, number in count.items())
+        if not one.devices:
+            ids[one.word if one.word in (*_OF_ALL, SILENT) else _beginning(one.text)] = ['']
+        for device in one.devices:
+            ids.setdefault(_trouble(device), []).append(f'{device["id"]:03}')
+    number = sum(map(len, ids.values()))
+    text = '; '.join(f'{_list(some)} {word}'.strip() for word, some in ids.items())
+    return text if number < 2 else f'{number} problems: {text}'
+
+
+def _trouble(row: Row) -> str:
+    """Return what a device has, in a word or two."""
+    if is_lost(row):
+        return SILENT
+    rules = [rule for rule, _, severity in row['findings'] if severity == FAULT] \
+        or [rule for rule, *_ in row['findings']]
+    return rules[0].replace('_', ' ') if rules else _beginning(str(row['message']))
+
+
+def _beginning(text: str) -> str:
+    return shorten(re.split('[:;(]', text, maxsplit=1)[0], _BEGINNING_MAX, placeholder=' \u2026')
+
+
+def _list(names: list[str]) -> str:
+    more = f' and {len(names) - _MOST_NAMED} more' if len(names) > _MOST_NAMED else ''
+    return ', '.join(names[:_MOST_NAMED]) + more
 
 
 def _judged(of_all: Level, message: str, devices: list[Row],
@@ -221,11 +247,15 @@ def _bridge(node: str, rows: dict[str, Row]) -> RobotPart:
         problem = NO_REPORT
         did = dict(rows.get('commands', worse)['values']).get(keys.STATE, 'unknown')
         text = f'No report from {node}: nothing is known of the rover; its last state: {did}'
+        if did == DRIVING:
+            level = Level.ERROR
+            text = f'No report from {node}, and the rover was driving: it may be driving on; ' \
+                'look at it, switch its motors off, restart the bridge'
     elif 'link' in rows and not rows['link']['live']:
         problem = LOST if level is Level.ERROR else problem
     return RobotPart(status_name(node, 'link'), worse['robot'], node, None, level,
                      (problem,) if problem else (), problem and f'bridge: {problem}', text,
-                     of_part=text, since=since)
+                     text, of_part=text, since=since)
 
 
 def _since(row: Row | None, devices: list[Row]) -> float | None:
@@ -237,11 +267,9 @@ def _since(row: Row | None, devices: list[Row]) -> float | None:
 
 
 def _names(some: list[Row]) -> str:
-    names = ', '.join(map(device_name, some[:_MOST_NAMED]))
+    names = _list([device_name(one) for one in some])
     if len(some) == 1:
         return f'{names}, {some[0]["message"]}'
-    if len(some) > _MOST_NAMED:
-        names += f' and {len(some) - _MOST_NAMED} more'
     found = next((one for one in some if one['findings']), None)
     return names if found is None else f'{names}; {found["id"]:03}: {found["findings"][0][1]}'
 

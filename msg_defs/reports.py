@@ -70,7 +70,7 @@ class Joint(NamedTuple):
 
 
 # Values of the key `State` that a program reads again: a device that answers, a port.
-CONNECTED, PORT_OPEN, PORT_CLOSED = 'connected', 'open', 'closed'
+CONNECTED, PORT_OPEN, PORT_CLOSED, DRIVING = 'connected', 'open', 'closed', 'driving'
 
 # As diagnostic_aggregator groups: of a silent part nothing is known, which is worse than a
 # warning, but it must not hide an error. (A plain maximum, as in diagnostic_updater, would.)

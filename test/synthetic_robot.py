@@ -67,6 +67,7 @@ class SyntheticRobot:
         self._bridge = f'{self._prefix}vel2d_bridge'
         self.buses = {'': HUMANOID} if buses is None else buses
         self.lost, self.warned, self.silent, self.faulty = set(), set(), set(), set()
+        self.waiting = set()                   # in a Sync Read, after 007
         self.stumbles = set()                  # these miss an answer and go on
         self.port_problem = self.bridge_problem = ''
         self.findings = ()
@@ -128,6 +129,9 @@ class SyntheticRobot:
             message = 'disconnected: 7 answers missed'
         elif number in self.faulty:
             level, message = Level.ERROR, 'hardware error: overheating'
+        elif number in self.waiting:
+            state, level = words.WAITING, Level.WARN
+            message = 'asked but not served: 007 before it does not answer'
         elif number in self.silent:
             state, level, message = words.SILENT, Level.STALE, 'silent: not asked for 9 s'
         elif number in self.warned:

@@ -142,8 +142,8 @@ def test_events():
     assert ('over', 0, 'bus', 'missing termination') in found
     assert {(level, text) for _, level, _, text in watched.events(200.0)} == {
         (Level.STALE, 'No report from dxl_monitor: nothing is known of its 24 devices'),
-        (Level.STALE, 'No report from vel2d_bridge: nothing is known of the rover; its last '
-                      'state: driving')}
+        (Level.ERROR, 'No report from vel2d_bridge, and the rover was driving: it may be driving '
+                      'on; look at it, switch its motors off, restart the bridge')}
     assert {one[2:] for one in watched.events(201.0, robot)} == {
         ('link', 'driving'), ('bus', 'All 24 devices connected')}
 

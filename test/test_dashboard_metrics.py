@@ -4,6 +4,7 @@
 from importlib import util
 import json
 from pathlib import Path
+import re
 import shutil
 import socket
 import subprocess
@@ -19,6 +20,7 @@ from synthetic_robot import MANY
 from synthetic_robot import SyntheticRobot
 
 from mecarover_dashboard.state import State
+from servobus.doctor import RULES
 
 HAS_CLIENT = util.find_spec('prometheus_client') is not None
 if HAS_CLIENT:
@@ -129,6 +131,11 @@ def test_over_http():
                 assert answer.headers['Content-Type'].startswith('application/openmetrics-text')
                 return answer.read()
         wait(lambda: b'left_knee' in get())
+
+
+def test_the_alerts_name_findings_that_exist():
+    named = re.findall('rule="(.*?)"', (DEPLOY / 'alerts.yml').read_text())
+    assert named and set(named) <= {rule.name for rule in RULES}
 
 
 @pytest.mark.skipif(not shutil.which('prometheus'),

@@ -269,7 +269,7 @@ def test_a_recording_is_played_stopped_and_moved(tmp_path):
         bar.filter(has_text='6/6').wait_for()
         page.locator('#player option', has_text='no answer').wait_for(state='attached')
         page.get_by_label('Go to a finding').select_option(index=1)
-        bar.filter(has_text=re.compile('Lost: 003')).wait_for()
+        bar.filter(has_text=re.compile('003 silent')).wait_for()
         assert page.get_by_role('button', name='Play').count() == 1         # it was stopped
         slider = page.get_by_label('Time in the recording')
         assert 19 < float(slider.input_value()) < 24

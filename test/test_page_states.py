@@ -53,7 +53,9 @@ def look(page, row, stage):
 
     def is_shown():
         seen.update(page.evaluate(FIRST))
-        return re.search(row.headline, seen['text'].replace('\n', ' ')) \
+        # The bar names devices as the tab does; what to do is said in their cards.
+        return re.search(f'{row.headline}|{row.mark or row.headline}',
+                         seen['text'].replace('\n', ' ')) \
             and (not row.mark or re.search(row.mark, seen['title']))
     try:
         wait(is_shown)

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from msg_defs import status_keys as keys
 from msg_defs.reports import hardware_id
+from msg_defs.reports import DRIVING
 from msg_defs.reports import Level
 from msg_defs.reports import number
 from msg_defs.reports import pairs
@@ -193,7 +194,7 @@ def _state_word(state: LinkState) -> str:
         return 'unknown'
     if not state.enabled:
         return 'disabled'
-    return 'driving' if state.driving else 'stopped'
+    return DRIVING if state.driving else 'stopped'
 
 
 def _first(complaints: Sequence[str]) -> str:

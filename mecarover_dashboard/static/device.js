@@ -201,5 +201,5 @@ function showSibling(item, device, here) {
   setIcon(link.children[0], state);
   say(link.children[1], id3(device.id));
   say(link.children[2], device.joint || device.model);
-  set(link, 'aria-label', `${deviceName(device)}, ${wordOf(device)}`);
+  set(link, 'title', wordOf(device));
 }

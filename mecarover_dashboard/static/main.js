@@ -145,6 +145,7 @@ function pip(name, state) {
 
 function showFacts(facts) {
   say(at('machine'), facts.machine);
+  set(at('brand'), 'aria-label', facts.machine);         // on a small screen only its sign is shown
   const open = facts.open
     ? `Open to the network: everybody who can reach ${facts.address} can read this page. ` : '';
   const from = facts.source ? `Listens to ${facts.source}` : `ROS domain ${facts.domain}`;

@@ -5,7 +5,7 @@
 
 import {OverviewSidebar} from './overview_sidebar.js';
 import {each, h, icon, say, set, setIcon} from './dom.js';
-import {id3, isolate, list, plural, short} from './format.js';
+import {id3, isolate, list, short} from './format.js';
 import {path} from './place.js';
 import {fillEmpty} from './parts.js';
 import {Pause} from './pause.js';
@@ -50,7 +50,7 @@ export class Overview {
 }
 
 const makeBar = (href) => h('a', {class: 'bar', href}, icon('ok'), h('span', {class: 'bar-text'}),
-  h('span', {class: 'bar-sum'}), h('span', {class: 'bar-bus'}), h('b', {class: 'bar-count'}));
+  h('span', {class: 'bar-bus'}), h('b', {class: 'bar-count'}), h('span', {class: 'unseen'}));
 
 function showBridge(element, {state, is_known: isKnown}, text) {
   const bar = element.firstChild;
@@ -60,8 +60,8 @@ function showBridge(element, {state, is_known: isKnown}, text) {
   set(bar, 'data-bridge', true);
   setIcon(bar.children[0], state);
   say(bar.children[1], text);
-  say(bar.children[3], 'Bridge');
-  set(bar, 'aria-label', `Bridge: ${WORDS[state]}. ${text}. Show the bridge`);
+  say(bar.children[2], 'Bridge');
+  say(bar.lastChild, WORDS[state]);
 }
 
 function makeBus(group) {
@@ -84,12 +84,9 @@ function updateBus(element, group, store) {
   set(bar, 'data-known', String(isKnown));
   setIcon(bar.children[0], group.state);
   say(bar.children[1], group.text);
-  const problems = problemsOf(group.devices);       // the headline says all about one
-  say(bar.children[2], isKnown && problems.length > 1 ? problems.join(' \u00b7 ') : '');
-  say(bar.children[3], group.bus ? `bus ${group.bus}` : '');
-  say(bar.children[4], `${count}/${total}`);
-  set(bar, 'aria-label', `${group.label}: ${isKnown ? count : 'not known how many'} of `
-    + `${plural(total, 'device')} connected. ${group.text}. Show devices`);
+  say(bar.children[2], group.bus ? `bus ${group.bus}` : '');
+  say(bar.children[3], `${count}/${total}`);
+  say(bar.lastChild, ` devices connected. ${WORDS[group.state]}`);
   set(strip, 'data-many', total > 60);
   each(strip, group.devices, (device) => device.name, makeCell, updateCell);
   set(element, 'data-size', sizeOf(total));
@@ -148,13 +145,18 @@ function alertsOf(group) {
 function alertOf(group, {state, message, devices}) {
   const [first] = devices;
   const isMany = devices.length > 1;
-  return {state, message: isolate(message), key: `${first.name} ${isMany}`,
+  return {state, message: isolate(message), key: `${first.name} ${isMany}`, devices,
+    isShared: isMany && state !== 'error',
     names: list(devices.map(isMany ? ({id}) => id3(id) : deviceName)),
     href: isMany ? path('devices', group.key) : path('device', first.name)};
 }
 
 function showDevices({children: [, , servos, list], newest: {group, store}}) {
-  showServos(servos, [...group.devices].sort(byUrgency), store);
+  // What several devices say that wait is said once, below the cards.
+  const shared = new Set(group.alerts.filter(({isShared}) => isShared)
+    .flatMap(({devices}) => devices));
+  showServos(servos, group.devices.filter((one) => one.live || !shared.has(one)).sort(byUrgency),
+    store, shared);
   set(servos, 'data-old', !group.part.is_known);
   list.hidden = !group.alerts.length;
   each(list, group.alerts, (alert) => alert.key, makeAlert, updateAlert);
@@ -164,6 +166,7 @@ const makeAlert = ({href}) => h('li', {},
   h('a', {class: 'alert', href}, icon('warn'), h('p', {}, h('b'), ' ', h('span'))));
 
 function updateAlert(item, alert) {
+  set(item, 'data-shared', String(alert.isShared ?? true));
   const [symbol, text] = item.firstChild.children;
   set(item.firstChild, 'data-state', alert.state);
   setIcon(symbol, alert.state);

@@ -39,9 +39,10 @@ const NAMES = Object.keys(MEASURES);
 const PLACES = {position: 4, load: 2, temperature: 0, voltage: 1};
 const share = (value, low, high) => Math.min(1, Math.max(0, (value - low) / (high - low)));
 
-export function showServos(grid, devices, store) {
+/** Cards; what a device of `shared` says is shown elsewhere. */
+export function showServos(grid, devices, store, shared) {
   each(grid, devices, (device) => device.name, makeServo,
-    (item, device) => showServo(item, device, store));
+    (item, device) => showServo(item, device, store, !shared.has(device)));
 }
 
 const makeServo = (device) => h('li', {}, h('a', {class: 'servo',
@@ -50,7 +51,7 @@ h('p', {class: 'servo-head'}, icon('ok'), h('b', {}), h('span')), h('p', {class:
 ...NAMES.map((name) => h('p', {class: `measure ${name}`, title: name},
   h('i', {}, h('i')), h('span')))));
 
-function showServo(item, device, store) {
+function showServo(item, device, store, isAlone) {
   const values = store.values.get(device.name) ?? NONE;
   const [head, text, ...lines] = item.firstChild.children;
   const state = stateOf(device);
@@ -60,7 +61,7 @@ function showServo(item, device, store) {
   say(head.children[1], id3(device.id));
   sayInParts(head.children[2], device.joint || device.model);
   const isSick = state !== 'ok';
-  text.hidden = !isSick;
+  text.hidden = !isSick || !isAlone;
   const word = isQuiet(device)
     ? `${wordOf(device)} since ${clock(store.wall(device.quiet_since))}` : wordOf(device);
   if (isSick) say(text, saysMore(device) ? device.message : word);

@@ -8,6 +8,7 @@ const HISTORY_S = 320;
 const SAMPLE_S = 0.4;
 const LOOK_S = 6;                     // so long ROS may need to find who publishes
 export const GAP_S = 3.5;             // without a value for so long: a gap
+const NO_CONNECTION = 'No connection to the dashboard: nothing is known now';
 const AWAY = new Set(['disconnected', 'expected']);
 const SECTIONS = ['devices', 'buses', 'bridge', 'timing'];
 export const LEVELS = ['ok', 'warn', 'error', 'stale'];
@@ -167,11 +168,11 @@ export class Store {
     const some = robot === null ? this.all : this.all.filter((part) => part.robot === robot);
     return some.map((part) => this.isLive ? {...part, state: LEVELS[part.level]}
       : {...part, state: 'stale', is_known: false, mark: 'no connection', key: 'no connection',
-        text: 'No connection to the dashboard: nothing is known now', since: null});
+        headline: NO_CONNECTION, text: NO_CONNECTION, since: null});
   }
 
-  /** What a part says, with the time since its last report. */
-  said({text, since}) {
+  /** What a part says, or a text of it, with the time since its last report. */
+  said({headline, since}, text = headline) {
     return isolate(text) + (since === null ? ''
       : `; last report ${Math.round(this.now() - since)} s ago`);
   }
