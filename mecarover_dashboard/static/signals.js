@@ -154,7 +154,8 @@ export class SignalsView {
       plot.update(some.map((signal) => {
         const points = signal.drawn(from, to, plot.width, now);
         return {name: this.#name(signal), unit: splitUnit(signal.key)[1], points,
-          note: [...rateOf(signal, now, this.isSampled), ...extremes(points)].join(', '),
+          note: [...rateOf(signal, now, this.isSampled), ...extremes(points),
+            ...averageOf(signal, from, to)].join(', '),
           hasDots: !signal.isWritten, isSampled: this.isSampled,
           remove: () => this.#keep(this.signals.all.filter((one) => one !== signal))};
       }), to, {gap: Infinity, rest: 0, zero: now});
@@ -181,6 +182,10 @@ export class SignalsView {
       this.signals.close();
       this.#draw();
     };
+    plot.bounds = () => [this.signals.now - SPAN_S, this.signals.now];
+    plot.onMark = (s) => {
+      for (const other of this.#plots.values()) if (other !== plot) other.mark(s);
+    };
     plot.onCursor = (cursor) => {
       for (const other of this.#plots.values()) if (other !== plot) other.point(cursor);
     };
@@ -194,12 +199,20 @@ export class SignalsView {
     return `${row ? nameOf(row, devices) : device} ${splitUnit(key)[0]}`;
   }
 
+  /** The first register, and when the time shown begins (UTC): files of two choices differ. */
+  #fileName(origin) {
+    const [from] = this.range;
+    const begin = this.store.player ? `${from.toFixed(3)}s`
+      : `${new Date(1000 * (from + origin)).toISOString().slice(0, 19).replaceAll(':', '')}Z`;
+    return `${this.#name(this.signals.all[0])} ${begin}.csv`.replace(/[^\w.-]+/g, '_');
+  }
+
   #save() {
     const {all, origin} = this.signals;
     const names = all.map((signal) => `${this.#name(signal)}${unitOf(signal.key)}`);
     const text = csvOf(all, names, this.range,
       this.store.player ? 'recording (s)' : 'Unix time (s)', origin);
-    const link = h('a', {download: 'signals.csv',
+    const link = h('a', {download: this.#fileName(origin),
       href: URL.createObjectURL(new Blob([text], {type: 'text/csv'}))});
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
@@ -235,6 +248,13 @@ function extremes(points) {
   const low = Math.min(...known.map((point) => point[1]));
   const high = Math.max(...known.map((point) => point[2]));
   return low < high ? [`${figure(low)} to ${figure(high)}`] : [];
+}
+
+/** Nothing of what was written: the mean of rare writes is not that of the time they hold. */
+function averageOf(signal, from, to) {
+  const {count, mean, deviation} = signal.statistics(from, to);
+  return !signal.isWritten && deviation > 0
+    ? [`mean ${figure(mean)}, \u03c3 ${figure(deviation, 3)} of ${count}`] : [];
 }
 
 /** Fill a select with [value, text]. */
