@@ -361,7 +361,7 @@ def test_signals_at_the_rate_of_the_bus(open_page):
         plot = page.locator('.signals canvas')
         plot.click(position={'x': 760, 'y': 50}, modifiers=['Shift'])
         plot.hover(position={'x': 700, 'y': 50})
-        see(page, '.legend', 'Present Position.*\u0394 .* rad in -[\\d.]+ s')
+        see(page, '.legend', 'Present Position.*:\\d\\d\\.\\d{3}\\), \u0394 .* rad in -[\\d.]+ s')
         page.mouse.wheel(0, -100)
         see(page, '.signals [aria-pressed=true]', 'Paused')
         page.keyboard.press('Escape')

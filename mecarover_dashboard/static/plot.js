@@ -80,7 +80,7 @@ export class Plot {
    * hasDots, isSampled, remove}] up to now (s): a dot for each point where they are far apart,
    * wherever they are samples; what its button does.
    * options: `low`, where the scale begins; `limits`, [[name, value], ...]; `gap`, s without a
-   * point that break the line; `unix(s)`, the Unix time of a time; `zero`, s that are called now;
+   * point that break the line; `unix(s)`, the Unix time of a time; `timeOfDay(s)`, a text after it; `zero`, s that are called now;
    * `rest`, s between two moves of the plot.
    */
   update(series, now, options = {}) {
@@ -198,7 +198,7 @@ export class Plot {
   get #zero() { return this.#options.zero ?? this.#now; }
 
   #tell(shown, s) {
-    const {gap, unix} = this.#options;
+    const {gap, unix, timeOfDay = () => ''} = this.#options;
     const near = nearOf(this.#area, ...this.range);
     const mark = s !== null && isWithin(this.#mark, this.range) ? this.#mark : null;
     const rows = shown.map((one, index) => {
@@ -207,7 +207,7 @@ export class Plot {
         readAt(one.points, mark, near, gap), value)};
     });
     const when = s === null ? '' : unix ? ` at ${clock(unix(s))}`
-      : ` at \u2212${spanText(this.#zero - s)}`;
+      : ` at \u2212${spanText(this.#zero - s)}${timeOfDay(s)}`;
     each(this.legend, rows, (row) => row.name,
       (row) => h('li', {}, h('i', {class: 'swatch'}), h('span'), h('b'), h('small'), row.remove
         && h('button', {type: 'button', class: 'link', title: 'Remove',

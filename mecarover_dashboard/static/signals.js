@@ -4,7 +4,7 @@
 // for each unit, so that goal and present position lie over each other.
 
 import {each, h, say, set} from './dom.js';
-import {figure, id3, numberOf, splitUnit} from './format.js';
+import {clock, figure, id3, numberOf, splitUnit} from './format.js';
 import {fillEmpty} from './parts.js';
 import {keepFilters, path} from './place.js';
 import {Plot} from './plot.js';
@@ -158,13 +158,21 @@ export class SignalsView {
             ...averageOf(signal, from, to)].join(', '),
           hasDots: !signal.isWritten, isSampled: this.isSampled,
           remove: () => this.#keep(this.signals.all.filter((one) => one !== signal))};
-      }), to, {gap: Infinity, rest: 0, zero: now});
+      }), to, {gap: Infinity, rest: 0, zero: now,
+        timeOfDay: (s) => this.#timeOfDay(s)});
     });
     for (const [key, plot] of this.#plots) {
       if (groups.some((one) => one.key === key)) continue;
       plot.close();
       this.#plots.delete(key);
     }
+  }
+
+  /** ' (14:02:07.250)'; a recording has times of its own. */
+  #timeOfDay(s) {
+    if (this.store.player) return '';
+    const ms = Math.floor(1000 * (s + this.signals.origin));
+    return ` (${clock(ms / 1000, ms / 1000)}.${String(ms % 1000).padStart(3, '0')})`;
   }
 
   get range() {
