@@ -368,7 +368,17 @@ def test_signals_at_the_rate_of_the_bus(open_page):
         see(page, '.legend', 'Present Position.*rad at \u2212.*Goal Position.*0.95 rad')
         with page.expect_download() as download:
             page.get_by_role('button', name='CSV').click()
+        assert re.fullmatch(r'007_left_knee_Present_Position_\d{4}-\d\d-\d\dT\d{6}Z\.csv',
+                            download.value.suggested_filename)
+        see(page, '.legend', 'Present Position.*mean [^/]* of \\d+')
         plot = page.locator('.signals canvas')
+        plot.click(position={'x': 760, 'y': 50}, modifiers=['Shift'])
+        plot.hover(position={'x': 700, 'y': 50})
+        see(page, '.legend', 'Present Position.*:\\d\\d\\.\\d{3}\\), \u0394 .* rad in -[\\d.]+ s')
+        page.mouse.wheel(0, -100)
+        see(page, '.signals [aria-pressed=true]', 'Paused')
+        page.keyboard.press('Escape')
+        plot.dblclick()
         plot.drag_to(plot, source_position={'x': 700, 'y': 50},
                      target_position={'x': 800, 'y': 50})
         see(page, '.signals [aria-pressed=true]', 'Paused')
@@ -429,6 +439,28 @@ def test_a_plot_has_the_lowest_and_highest_of_each_column(page):
                       [6.01, 0, 2], [6.5, 0, 2], [7, 1, 2], [7.51, None]]
     assert alone[-3:] == [[0.74, None], [5, 8, 8], [5.25, 8, 8]]        # a dot
     assert held == [[1, 1, 1], [3, 1, 1], [3, 2, 2], [5, 2, 2]]
+
+
+def test_figures_between_two_times_of_a_plot(page):
+    """Statistics are those of the values, not of the columns; a difference is as exact as both."""
+    statistics, differences, ranges = page.evaluate("""async () => {
+        const {Signal} = await import('./signal.js');
+        const {differenceOf} = await import('./draw.js');
+        const {turned} = await import('./plot.js');
+        const signal = new Signal('', '');
+        signal.take(false, 0, Float64Array.from([0, 50, 1, 2, 2, NaN, 3, 4, 4, 6, 5, 50]));
+        const exact = {low: 1, high: 1};
+        const turn = (deltaY, shiftKey, at = 20) =>
+            turned([10, 30], at, {deltaX: 0, deltaY, deltaMode: 0, shiftKey}, [0, 60]);
+        return [signal.statistics(1, 4), [differenceOf(exact, {low: 3, high: 4}),
+            differenceOf({low: 3, high: 4}, exact), differenceOf(null, exact)],
+            [turn(-100), turn(100, false, 10), turn(100, true), turn(-100, true),
+             turned([0, 60], 9, {deltaX: 0, deltaY: 100, deltaMode: 0}, [0, 60]),
+             turned([0, 20], 9, {deltaX: -9, deltaY: 0, deltaMode: 0}, [0, 60])]];
+    }""")
+    assert statistics == {'count': 3, 'mean': 4, 'deviation': 2}
+    assert [one and (one['low'], one['high']) for one in differences] == [(2, 3), (-3, -2), None]
+    assert ranges == [[12, 28], [10, 35], [12, 32], [8, 28], [0, 60], [0, 20]]
 
 
 def test_error_history_and_findings(page, robot):

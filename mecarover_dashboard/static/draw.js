@@ -45,6 +45,7 @@ export function drawPlot(canvas, shown, view) {
       isFaint: one.isSampled}, view));
   pen.restore();
   if (view.drag) drawDrag(pen, area, at, view.drag, colours);
+  if (view.mark !== null) drawMark(pen, area, at.x(view.mark), colours);
   if (view.cursor !== null) drawCursor(pen, area, at, shown, view, colours);
   return area;
 }
@@ -86,6 +87,10 @@ export function readAt(points, s, near, gap = GAP_S) {
 }
 
 const at = (point) => ({low: point[1], high: point[2] ?? point[1], at: point[0]});
+
+/** From one value that was read to another: as exact as both are; null where one is unknown. */
+export const differenceOf = (from, to) => from && to && {low: to.low - from.high,
+  high: to.high - from.low, isBetween: from.isBetween || to.isBetween};
 
 function rangeOf(shown, {low: wanted, limits = []}) {
   let low = Infinity;
@@ -234,6 +239,17 @@ function drawDrag(pen, area, at, [from, to], colours) {
 
 /** How near the cursor is to a point that it means, s. */
 export const nearOf = ({width}, from, to) => 4 * (to - from) / width;
+
+function drawMark(pen, {top, height}, x, colours) {
+  pen.strokeStyle = colours.text;
+  pen.lineWidth = 1;
+  pen.setLineDash(LIMIT_DASH);
+  pen.beginPath();
+  pen.moveTo(x, top);
+  pen.lineTo(x, top + height);
+  pen.stroke();
+  pen.setLineDash([]);
+}
 
 function drawCursor(pen, area, at, shown, {cursor, gap, from, to}, colours) {
   pen.strokeStyle = colours.text;

@@ -3,13 +3,14 @@
 // A small plot on a canvas: time to the left, one unit, up to a handful of series, a cursor, and a
 // part of the time that is chosen by dragging.
 
-import {drawPlot, nearOf, readAt} from './draw.js';
+import {differenceOf, drawPlot, nearOf, readAt} from './draw.js';
 import {clock, figure, isInRange, span as spanText} from './format.js';
 import {each, h, say, set} from './dom.js';
 
 const SPANS = [[10, '10 s'], [60, '1 min'], [300, '5 min']];
 const LEAST_DRAG = 12;         // px; less is a touch
 const CALM_S = 0.45;           // least time between two moves of the plot
+const LEAST_SPAN_S = 0.01;
 const STEPS = 300;             // in which a plot moves from one edge to the other
 
 export class Plot {
@@ -17,6 +18,7 @@ export class Plot {
   #now = 0;
   #options = {};
   #cursor = null;              // s before the right edge
+  #mark = null;                // s: from where differences to the cursor are counted
   #drag = null;                // where it began, px
   #zoom = null;                // [from, to] in s; null: up to now
   #drawn = '';
@@ -43,7 +45,8 @@ export class Plot {
     const {canvas} = this;
     const on = (name, act) => canvas.addEventListener(name, act);
     on('pointerdown', (event) => {
-      this.#drag = event.offsetX;
+      if (event.shiftKey) this.#setMark(this.#at(event.offsetX));
+      else this.#drag = event.offsetX;
       this.#point(event.offsetX);
     });
     on('pointermove', (event) => this.#point(event.offsetX));
@@ -56,6 +59,11 @@ export class Plot {
     });
     on('blur', () => this.#move(null));
     on('keydown', (event) => this.#key(event));
+    on('wheel', (event) => {
+      if (!this.bounds) return;
+      event.preventDefault();
+      this.#zoomTo(turned(this.range, this.#at(event.offsetX), event, this.bounds()));
+    });
     this.observer = new ResizeObserver(() => this.draw());
     this.observer.observe(canvas);
     this.redraw = () => this.draw();
@@ -72,7 +80,7 @@ export class Plot {
    * hasDots, isSampled, remove}] up to now (s): a dot for each point where they are far apart,
    * wherever they are samples; what its button does.
    * options: `low`, where the scale begins; `limits`, [[name, value], ...]; `gap`, s without a
-   * point that break the line; `unix(s)`, the Unix time of a time; `zero`, s that are called now;
+   * point that break the line; `unix(s)`, the Unix time of a time; `timeOfDay(s)`, a text after it; `zero`, s that are called now;
    * `rest`, s between two moves of the plot.
    */
   update(series, now, options = {}) {
@@ -123,6 +131,8 @@ export class Plot {
 
   #area = {left: 0, width: 1};
   onZoom = null;               // who shows another time instead, given [from, to]; null: up to now
+  bounds = null;               // gives [from, to] that the wheel can reach; null: it scrolls the page
+  onMark = () => {};           // given the time that is marked, or null
   onCursor = () => {};         // given where the cursor is, s before the right edge, or null
 
   #point(x) { this.#move(this.range[1] - this.#at(x)); }
@@ -149,10 +159,23 @@ export class Plot {
     this.draw();
   }
 
+  #setMark(s) {
+    this.mark(s);
+    this.onMark(s);
+  }
+
+  /** Count differences from a time; null: from none. */
+  mark(s) {
+    this.#mark = s;
+    this.draw();
+  }
+
   #key(event) {
     const step = {ArrowLeft: 1, ArrowRight: -1}[event.key];
     const [from, to] = this.range;
     if (step) this.#move((this.#cursor ?? 0) + step * (to - from) / 60);
+    else if (event.key === 'Enter') this.#setMark(to - (this.#cursor ?? 0));
+    else if (event.key === 'Escape' && this.#mark !== null) this.#setMark(null);
     else if (event.key === 'Escape') this.#zoomTo(null);
     else return;
     event.preventDefault();
@@ -166,6 +189,7 @@ export class Plot {
       (a, b) => a - b);
     const shown = this.#series.map((one) => ({...one, points: within(one.points, from, to)}));
     const drawn = drawPlot(this.canvas, shown, {...this.#options, from, to, cursor: s, drag,
+      mark: isWithin(this.#mark, this.range) ? this.#mark : null,
       isLive: !this.#zoom, now: this.#zero});
     this.#area = drawn ?? this.#area;
     this.#tell(shown, s);
@@ -174,19 +198,24 @@ export class Plot {
   get #zero() { return this.#options.zero ?? this.#now; }
 
   #tell(shown, s) {
-    const {gap, unix} = this.#options;
+    const {gap, unix, timeOfDay = () => ''} = this.#options;
     const near = nearOf(this.#area, ...this.range);
-    const rows = shown.map((one, index) => ({...one, index,
-      value: readAt(one.points, s, near, gap)}));
+    const mark = s !== null && isWithin(this.#mark, this.range) ? this.#mark : null;
+    const rows = shown.map((one, index) => {
+      const value = readAt(one.points, s, near, gap);
+      return {...one, index, value, difference: mark !== null && differenceOf(
+        readAt(one.points, mark, near, gap), value)};
+    });
     const when = s === null ? '' : unix ? ` at ${clock(unix(s))}`
-      : ` at \u2212${spanText(this.#zero - s)}`;
+      : ` at \u2212${spanText(this.#zero - s)}${timeOfDay(s)}`;
     each(this.legend, rows, (row) => row.name,
       (row) => h('li', {}, h('i', {class: 'swatch'}), h('span'), h('b'), h('small'), row.remove
         && h('button', {type: 'button', class: 'link', title: 'Remove',
           ariaLabel: `Remove ${row.name}`, onclick: row.remove}, '\u00d7')), (item, row) => {
         set(item.firstChild, 'data-line', row.index % 4);
         say(item.children[1], row.name);
-        say(item.children[2], written(row) + (row.value ? when : ''));
+        say(item.children[2], written(row) + (row.value ? when : '') + (row.difference
+          ? `, \u0394 ${written({...row, value: row.difference})} in ${spanText(s - mark)}` : ''));
         say(item.children[3], row.note ?? '');
       });
     const text = rows.map((row) => `${row.name} ${written(row)}`).join(', ');
@@ -195,6 +224,8 @@ export class Plot {
     }
   }
 }
+
+const isWithin = (s, [from, to]) => s !== null && s >= from && s <= to;
 
 /** What makes two series differ: the name, and whether there is a point. */
 const nameOf = ({name, points}) => `${name} ${points.length > 0}`;
@@ -206,6 +237,18 @@ function written({value, unit}) {
   const number = low !== high ? `${figure(low)} to ${figure(high)}`
     : isBetween ? `\u2248 ${figure(low)}` : figure(low);
   return unit ? `${number} ${unit}` : number;
+}
+
+/** A range after a turn of the wheel: wider or narrower around a time; with Shift it moves. */
+export function turned([from, to], at, {deltaX, deltaY, deltaMode, shiftKey}, [first, last]) {
+  const isMove = shiftKey || Math.abs(deltaX) > Math.abs(deltaY);
+  const delta = Math.abs(deltaX) > Math.abs(deltaY) ? deltaX : deltaY;
+  const turn = Math.max(-1, Math.min(1, deltaMode ? delta : delta / 100));
+  const span = Math.min(last - first,
+    Math.max(LEAST_SPAN_S, (to - from) * (isMove ? 1 : 1.25 ** turn)));
+  const wanted = isMove ? from + 0.1 * turn * span : at - (at - from) * span / (to - from);
+  const begin = Math.max(first, Math.min(last - span, wanted));
+  return [begin, begin + span];
 }
 
 /** The points from one time to another, and one more on either side. */

@@ -70,6 +70,19 @@ export class Signal {
     return count && count / Math.min(RATE_S, now - this.data[this.begin]);
   }
 
+  /** {count, mean, deviation} of the values from one time to another; deviation: of the sample. */
+  statistics(from, to) {
+    let [count, mean, squares] = [0, 0, 0];
+    for (let at = this.indexOf(from); at < this.end && this.data[at] <= to; at += 2) {
+      const value = this.data[at + 1];
+      if (!Number.isFinite(value)) continue;
+      const error = value - mean;
+      mean += error / ++count;
+      squares += error * (value - mean);
+    }
+    return {count, mean, deviation: Math.sqrt(squares / Math.max(1, count - 1))};
+  }
+
   /**
    * What a plot so many pixels wide can show: [[s, lowest, highest, last], ...] of each column;
    * [s, null] at a gap. A value that was written is held until the next.

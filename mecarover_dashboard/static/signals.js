@@ -4,7 +4,7 @@
 // for each unit, so that goal and present position lie over each other.
 
 import {each, h, say, set} from './dom.js';
-import {figure, id3, numberOf, splitUnit} from './format.js';
+import {clock, figure, id3, numberOf, splitUnit} from './format.js';
 import {fillEmpty} from './parts.js';
 import {keepFilters, path} from './place.js';
 import {Plot} from './plot.js';
@@ -154,16 +154,25 @@ export class SignalsView {
       plot.update(some.map((signal) => {
         const points = signal.drawn(from, to, plot.width, now);
         return {name: this.#name(signal), unit: splitUnit(signal.key)[1], points,
-          note: [...rateOf(signal, now, this.isSampled), ...extremes(points)].join(', '),
+          note: [...rateOf(signal, now, this.isSampled), ...extremes(points),
+            ...averageOf(signal, from, to)].join(', '),
           hasDots: !signal.isWritten, isSampled: this.isSampled,
           remove: () => this.#keep(this.signals.all.filter((one) => one !== signal))};
-      }), to, {gap: Infinity, rest: 0, zero: now});
+      }), to, {gap: Infinity, rest: 0, zero: now,
+        timeOfDay: (s) => this.#timeOfDay(s)});
     });
     for (const [key, plot] of this.#plots) {
       if (groups.some((one) => one.key === key)) continue;
       plot.close();
       this.#plots.delete(key);
     }
+  }
+
+  /** ' (14:02:07.250)'; a recording has times of its own. */
+  #timeOfDay(s) {
+    if (this.store.player) return '';
+    const ms = Math.floor(1000 * (s + this.signals.origin));
+    return ` (${clock(ms / 1000, ms / 1000)}.${String(ms % 1000).padStart(3, '0')})`;
   }
 
   get range() {
@@ -181,6 +190,10 @@ export class SignalsView {
       this.signals.close();
       this.#draw();
     };
+    plot.bounds = () => [this.signals.now - SPAN_S, this.signals.now];
+    plot.onMark = (s) => {
+      for (const other of this.#plots.values()) if (other !== plot) other.mark(s);
+    };
     plot.onCursor = (cursor) => {
       for (const other of this.#plots.values()) if (other !== plot) other.point(cursor);
     };
@@ -194,12 +207,20 @@ export class SignalsView {
     return `${row ? nameOf(row, devices) : device} ${splitUnit(key)[0]}`;
   }
 
+  /** The first register, and when the time shown begins (UTC): files of two choices differ. */
+  #fileName(origin) {
+    const [from] = this.range;
+    const begin = this.store.player ? `${from.toFixed(3)}s`
+      : `${new Date(1000 * (from + origin)).toISOString().slice(0, 19).replaceAll(':', '')}Z`;
+    return `${this.#name(this.signals.all[0])} ${begin}.csv`.replace(/[^\w.-]+/g, '_');
+  }
+
   #save() {
     const {all, origin} = this.signals;
     const names = all.map((signal) => `${this.#name(signal)}${unitOf(signal.key)}`);
     const text = csvOf(all, names, this.range,
       this.store.player ? 'recording (s)' : 'Unix time (s)', origin);
-    const link = h('a', {download: 'signals.csv',
+    const link = h('a', {download: this.#fileName(origin),
       href: URL.createObjectURL(new Blob([text], {type: 'text/csv'}))});
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
@@ -235,6 +256,13 @@ function extremes(points) {
   const low = Math.min(...known.map((point) => point[1]));
   const high = Math.max(...known.map((point) => point[2]));
   return low < high ? [`${figure(low)} to ${figure(high)}`] : [];
+}
+
+/** Nothing of what was written: the mean of rare writes is not that of the time they hold. */
+function averageOf(signal, from, to) {
+  const {count, mean, deviation} = signal.statistics(from, to);
+  return !signal.isWritten && deviation > 0
+    ? [`mean ${figure(mean)}, \u03c3 ${figure(deviation, 3)} of ${count}`] : [];
 }
 
 /** Fill a select with [value, text]. */
