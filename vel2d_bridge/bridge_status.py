@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from msg_defs import status_keys as keys
-from msg_defs.reports import hardware_id
 from msg_defs.reports import DRIVING
+from msg_defs.reports import hardware_id
 from msg_defs.reports import Level
 from msg_defs.reports import number
 from msg_defs.reports import pairs
