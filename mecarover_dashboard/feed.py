@@ -13,6 +13,8 @@ import math
 import time
 from typing import Protocol
 
+from mecarover_dashboard.state import TABLES
+from mecarover_dashboard.state import TIMING
 from mecarover_serial.process import resident_memory_mb
 from msg_defs.reports import Metric
 from msg_defs.reports import metric_status
@@ -32,7 +34,6 @@ from servobus.status import statuses_of
 from servobus.tools.doctor.verdict import Verdict
 
 NODE = 'dxl_monitor'                # in the names of statuses
-TABLES, TIMING = 'dxl/diagnostics', 'dxl/timing'
 APART_NS = 200_000_000              # a device that was lost is reported sooner
 TIMING_NS = 1_000_000_000
 NAMED = 3                           # groups of devices in a line

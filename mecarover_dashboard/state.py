@@ -31,9 +31,9 @@ from msg_defs.reports import Status
 from msg_defs.reports import status_name
 from servobus.plain import printable
 
-TABLES = 'dxl/diagnostics'
+TABLES, TIMING = 'dxl/diagnostics', 'dxl/timing'
 OVERVIEW = '/diagnostics'
-TOPICS = (TABLES, OVERVIEW, 'dxl/timing', 'vel2d/timing')
+TOPICS = (TABLES, OVERVIEW, TIMING, 'vel2d/timing')
 SECTIONS = ('devices', 'buses', 'bridge', 'timing')
 QUIET_S = 4.0                # without a report for so long, or 2.5 times the usual: old values
 TABLE_S = 30.0               # after so long without a whole table the short form has to do

@@ -3,8 +3,8 @@
 """
 What a fault of the simulated bus is: Fault (when, where) and Effect (what it does to the bus).
 
-The effects are in fault_device.py, fault_wire.py, fault_master.py and fault_setup.py. Each enters
-itself in Effect.kinds by the name of its class: WrongBaud is `wrong_baud`.
+The effects are in the other files fault_*.py. Each enters itself in Effect.kinds by the name of
+its class: WrongBaud is `wrong_baud`.
 """
 
 from __future__ import annotations

@@ -39,8 +39,8 @@ _NAME_CHARACTERS = frozenset('abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWX
 _NAME_LIMIT = 40                           # the path of a Unix socket has 107 characters
 _READ_SIZE = 1 << 16
 _NEW = '.new'                              # as long as SUFFIX
-TOO_LONG = ('the path of the socket is too long; set XDG_RUNTIME_DIR to a shorter folder, for the '
-            'program too')
+PATH_TOO_LONG = ('the path of the socket is too long; set XDG_RUNTIME_DIR to a shorter folder, '
+                 'for the program too')
 
 
 class TapRecord(NamedTuple):
@@ -161,7 +161,7 @@ class TapReader:
                 listener.close()
                 if error.errno is not None:
                     raise
-                raise OSError(errno.ENAMETOOLONG, TOO_LONG, self._path) from error
+                raise OSError(errno.ENAMETOOLONG, PATH_TOO_LONG, self._path) from error
         else:
             listener = socket.socket(socket.AF_INET)
             listener.bind(('127.0.0.1', 0))

@@ -24,7 +24,7 @@ from servobus.tools.dump.decode import PingAnswer
 from servobus.tools.dump.listing import Entry
 
 # What a device means by its error number (e-Manual, Protocol 2.0, status packet).
-_REASONS = {
+_ERROR_MEANINGS = {
     1: 'it could not do it', 2: 'it does not know this instruction',
     3: 'the instruction came damaged', 4: 'value out of range', 5: 'too few bytes',
     6: 'beyond its limit', 7: 'no such register, read-only, or locked by Torque Enable',
@@ -49,7 +49,7 @@ def spans(ids: Iterable[int], spelt: str = '{}') -> list[str]:
 def error_words(error: int) -> str:
     """Return an error byte with what it means: 'Access error: no such register, ...'."""
     code = error & ~ALERT
-    words = [f'{error_text(code)} error: {_REASONS[code]}' if code in _REASONS
+    words = [f'{error_text(code)} error: {_ERROR_MEANINGS[code]}' if code in _ERROR_MEANINGS
              else f'unknown error {code}'] if code else []
     if error & ALERT:
         words.append('alert: see Hardware Error Status')
