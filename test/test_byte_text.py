@@ -1,9 +1,11 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """Text that shows bytes, as people paste it: what the tools read of it, and what they say."""
+import io
 import json
 import subprocess
 import sys
+import zipfile
 
 import pytest
 
@@ -165,3 +167,41 @@ def test_a_text_from_a_pipe_is_read():
     ran = subprocess.run([sys.executable, '-m', 'servobus.tools.dxl_dump', '-', '--json'],
                          input=SHAPES['arrows'], capture_output=True, text=True)
     assert (ran.returncode, len(ran.stdout.splitlines())) == (0, 2), ran.stderr
+
+
+def sigrok(data, rate='8 MHz', samples=8, metadata='probe2=bus\nunitsize=1'):
+    """Return a .sr file: the second of two lines, 1 MBd."""
+    levels = [1] * 50
+    for byte in data:
+        levels += [0, *(byte >> bit & 1 for bit in range(8)), 1]
+    wire = b''.join(bytes([2 * level + 1]) * samples for level in [*levels, *[1] * 50])
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, 'w', zipfile.ZIP_DEFLATED) as zipped:
+        zipped.writestr('version', '2')
+        zipped.writestr('metadata', f'[device 1]\ncapturefile=logic-1\ntotal probes=8\n'
+                        f'samplerate={rate}\n{metadata}\n')
+        zipped.writestr('logic-1-1', wire[:999])
+        zipped.writestr('logic-1-2', wire[999:])
+    return file.getvalue()
+
+
+def test_a_line_of_sigrok_is_decoded(run):
+    code, out, err = run(dxl_dump, sigrok(BOTH), '--json', '-b', '1000000', name='bus.sr')
+    packets = [json.loads(line) for line in out.splitlines()]
+    assert [one['instruction'] for one in packets] == ['Ping', 'Status'], err
+    assert packets[1]['stamp'] == pytest.approx(1e-4, abs=2e-6)
+    assert 'read as line bus of sigrok at 1000000 baud: 24 bytes' in err and code == 0
+
+
+@pytest.mark.parametrize(('content', 'options', 'said'), [
+    (sigrok(BOTH), (), 'give the baud rate'),
+    (sigrok(BOTH), ('-b', '57600'), 'no line holds a packet'),
+    (sigrok(BOTH), ('-b', '4000000'), 'too few for 4000000 baud'),
+    (sigrok(BOTH, rate='fast'), ('-b', '1000000'), 'a damaged recording'),
+    (sigrok(BOTH, metadata='unitsize=0'), ('-b', '1000000'), 'a damaged recording'),
+    (sigrok(BOTH)[:-30], ('-b', '1000000'), 'a damaged recording'),
+    (sigrok(b'\0' * 300_000), ('-b', '1000000'), 'no line holds a packet'),
+])
+def test_a_recording_of_sigrok_without_packets(run, content, options, said):
+    code, out, err = run(dxl_dump, content, *options, name='bus.sr')
+    assert (code, out, err.count('\n')) == (2, '', 1) and said in err

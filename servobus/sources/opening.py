@@ -4,7 +4,8 @@
 One function that opens any source by its name: a port, usb:, tap:, a file, or stdin.
 
 The content of a file decides what it is: captures, USB events (pcap, pcapng, usbmon), raw bytes,
-text that shows bytes. Other text is refused: no packet is text, a program is given by mistake.
+text that shows bytes, levels (sigrok). Other text is refused: no packet is text, and a program is
+given here by mistake.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from servobus.sources.byte_text import ByteText
 from servobus.sources.byte_text import holds_packet
 from servobus.sources.byte_text import read_text
 from servobus.sources.capture import MAGIC
+from servobus.sources.logic_file import read_sigrok
 from servobus.sources.packet_file import holds_packets
 from servobus.sources.packet_file import PacketFile
 from servobus.sources.source import CaptureFile
@@ -111,6 +113,8 @@ def _file(name: str, file: BufferedReader, baud: int | None, adapter: str | None
         head += more
         if not MAGIC.startswith(head[:len(MAGIC)]) and not may_be_usb(head):
             break
+    if found := _sigrok_file(name, file, baud, head):
+        return found
     packed = next((kind for front, kind in _PACKED.items() if head.startswith(front)), None)
     if packed is not None:
         file.close()
@@ -158,6 +162,17 @@ def _text_file(name: str, file: BufferedReader, baud: int | None, tool: str) -> 
                    f'begins with {MAGIC.decode().strip()!r}), or text that shows packets')
     file.close()
     raise UsageError(f'{name}: {problem}')
+
+
+def _sigrok_file(name: str, file: BufferedReader, baud: int | None, head: bytes) -> File | None:
+    if not head.startswith(b'PK') or not file.seekable():
+        return None
+    try:
+        found = read_sigrok(file, baud)
+    except UsageError as error:
+        file.close()
+        raise UsageError(f'{name}: {error}') from error
+    return TextFile(name, file, baud, found) if found else None
 
 
 def _shows_header(begin: bytes) -> bool:

@@ -149,7 +149,7 @@ class TextFile(File):
             before, sent = sent, sent + len(data)
             at = 1 + (before if side == OUT else sent) * _BYTE_NS // baud
             if self.is_timed and time is not None:
-                at = 1 + time - first
+                at = 1 + _BYTE_NS // baud + time - first       # its first bit is not before 0
             yield Chunk(at, name, data, side)
             if lost > 0:
                 yield Chunk(at, name, change=Change(LOST, lost))
