@@ -156,10 +156,10 @@ class TextFile(File):
 
     def problems(self) -> list[str]:
         """Say what the text was taken for, and what of it was not used."""
-        told = f'{self._name}: read as {self._text.shape}: {len(self._text.data)} bytes'
-        told += '' if self.is_timed else '; exact times are not known'
+        text = f'{self._name}: read as {self._text.shape}: {len(self._text.data)} bytes'
+        text += '' if self.is_timed else '; exact times are not known'
         if unused := self._text.unused:
             number, line = next(iter(unused.items()))
-            told += (f'; {len(unused)} lines not used, the first is line {number}: '
+            text += (f'; {len(unused)} lines not used, the first is line {number}: '
                      f'{printable(line.strip(), BAD_TEXT_MAX_LENGTH)}')
-        return [told]
+        return [text]
