@@ -205,3 +205,8 @@ def test_a_line_of_sigrok_is_decoded(run):
 def test_a_recording_of_sigrok_without_packets(run, content, options, said):
     code, out, err = run(dxl_dump, content, *options, name='bus.sr')
     assert (code, out, err.count('\n')) == (2, '', 1) and said in err
+
+
+def test_no_rate_is_claimed_that_the_text_does_not_say(run):
+    _, out, _ = run(dxl_doctor, SHAPES['strace'])
+    assert ' baud' not in out.splitlines()[0]

@@ -139,10 +139,12 @@ class TextFile(File):
 
     def _begin(self) -> None:
         self.total = 0
-        self.wires[self._bus] = Wire(self._bus, self._baud or DEFAULT_BAUD, port=self._name)
+        # No text says the rate; without times packets are placed as with the default one.
+        baud = self._baud or (0 if self.is_timed else DEFAULT_BAUD)
+        self.wires[self._bus] = Wire(self._bus, baud, port=self._name)
 
     def chunks(self) -> Iterator[Chunk | None]:
-        [(name, baud, *_)] = self.wires.values()
+        name, baud = self._bus, self._baud or DEFAULT_BAUD
         first = self._text.parts[0].time or 0
         sent = 0
         for data, side, time, lost, _ in self._text.parts:
