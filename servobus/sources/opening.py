@@ -3,8 +3,9 @@
 """
 One function that opens any source by its name: a port, usb:, tap:, a file, or stdin.
 
-The content of a file decides what it is: captures, USB events (pcap, pcapng, usbmon), raw bytes.
-Text that is no capture is refused: no packet is text, and a program is given here by mistake.
+The content of a file decides what it is: captures, USB events (pcap, pcapng, usbmon), raw bytes,
+text that shows bytes, levels (sigrok). Other text is refused: no packet is text, and a program is
+given here by mistake.
 """
 
 from __future__ import annotations
@@ -21,19 +22,26 @@ from typing import Any
 from servobus.errors import UsageError
 from servobus.port.port_error import PortError
 from servobus.port.preflight import why_not
+from servobus.sources.byte_csv import read_csv
+from servobus.sources.byte_text import ByteText
+from servobus.sources.byte_text import holds_packet
+from servobus.sources.byte_text import read_text
 from servobus.sources.capture import MAGIC
+from servobus.sources.logic_file import read_sigrok
 from servobus.sources.packet_file import holds_packets
 from servobus.sources.packet_file import PacketFile
 from servobus.sources.source import CaptureFile
 from servobus.sources.source import File
 from servobus.sources.source import RawFile
 from servobus.sources.source import Source
+from servobus.sources.source import TextFile
 from servobus.sources.source_name import is_live
 from servobus.sources.usb_source import is_usb
 from servobus.sources.usb_source import may_be_usb
 from servobus.sources.usb_source import UsbFile
 
 HEAD_SIZE = 64
+TEXT_MAX_BYTES = 1 << 24           # longer texts are refused
 REPORT = '# dxl_doctor report'         # how a report of dxl_doctor begins
 _HEARS = {
     'servobus': "dxl_tap arm -- {}, and servobus.listen('tap:arm')",
@@ -105,6 +113,8 @@ def _file(name: str, file: BufferedReader, baud: int | None, adapter: str | None
         head += more
         if not MAGIC.startswith(head[:len(MAGIC)]) and not may_be_usb(head):
             break
+    if found := _sigrok_file(name, file, baud, head):
+        return found
     packed = next((kind for front, kind in _PACKED.items() if head.startswith(front)), None)
     if packed is not None:
         file.close()
@@ -123,12 +133,60 @@ def _file(name: str, file: BufferedReader, baud: int | None, adapter: str | None
         raise UsageError(f'--adapter {adapter}: {name} is not a file of USB events; leave it out')
     if head.startswith(MAGIC):
         return CaptureFile(name, file, baud)
-    if is_regular and is_text(begin):
-        file.close()
-        raise UsageError(f'{name}: a report of dxl_doctor; write: dxl_doctor {shlex.quote(name)}'
-                         if begin.startswith(REPORT.encode()) else
-                         f'{name}: a text file, not a recording; {_instead(name, tool)}')
+    # Text on a pipe may be what a board prints, for ever; only bytes are waited for to the end.
+    if is_text(begin) and (is_regular or _shows_header(begin)):
+        return _text_file(name, file, baud, tool)
     return RawFile(name, file, baud)
+
+
+def _text_file(name: str, file: BufferedReader, baud: int | None, tool: str) -> TextFile:
+    """Return the bytes that a text shows as a source; raise UsageError where it shows none."""
+    begin = file.read(TEXT_MAX_BYTES)
+    problem = ''
+    if begin.startswith(REPORT.encode()):
+        problem = f'a report of dxl_doctor; write: dxl_doctor {shlex.quote(name)}'
+    elif name.endswith('.py'):
+        problem = (f'a text file, not a recording; write: '
+                   f'{how_to_hear(tool, shlex.join(["python", name]))}')
+    elif file.read(1):
+        problem = f'a text of more than {TEXT_MAX_BYTES >> 20} MiB; cut it into parts'
+    else:
+        found = _shown(begin)
+        data = found.data
+        if holds_packet(data):
+            return TextFile(name, file, baud, found)
+        problem = (f'read as {found.shape}: {len(data)} bytes, but no packet with a right '
+                   'checksum; dxl_dump --check HEX says what is wrong with one'
+                   if b'\xff\xff' in data else
+                   'a text file, not a recording; give a pcap file, raw bytes or a capture (it '
+                   f'begins with {MAGIC.decode().strip()!r}), or text that shows packets')
+    file.close()
+    raise UsageError(f'{name}: {problem}')
+
+
+def _sigrok_file(name: str, file: BufferedReader, baud: int | None, head: bytes) -> File | None:
+    if not head.startswith(b'PK') or not file.seekable():
+        return None
+    try:
+        found = read_sigrok(file, baud)
+    except UsageError as error:
+        file.close()
+        raise UsageError(f'{name}: {error}') from error
+    return TextFile(name, file, baud, found) if found else None
+
+
+def _shows_header(begin: bytes) -> bool:
+    return b'\xff\xff' in _shown(begin).data
+
+
+def _shown(content: bytes) -> ByteText:
+    text = content.decode(_encoding(content), 'replace')
+    return read_csv(text) or read_text(text)
+
+
+def _encoding(begin: bytes) -> str:
+    """Return how a text is encoded: PowerShell writes UTF-16."""
+    return 'utf-16' if begin[:2] == codecs.BOM_UTF16_LE and begin[3:4] == b'\0' else 'utf-8-sig'
 
 
 class _Joined(RawIOBase):
@@ -151,13 +209,8 @@ class _Joined(RawIOBase):
 def is_text(begin: bytes) -> bool:
     """Tell whether a file that begins so is text; a packet has a byte 255, which no text has."""
     try:
-        text = codecs.getincrementaldecoder('utf-8')().decode(begin)   # its last letter may be cut
+        # Its last letter may be cut.
+        text = codecs.getincrementaldecoder(_encoding(begin))().decode(begin)
     except UnicodeDecodeError:
         return False
     return bool(text) and all(letter.isprintable() or letter.isspace() for letter in text)
-
-
-def _instead(name: str, tool: str) -> str:
-    if name.endswith('.py'):
-        return f'write: {how_to_hear(tool, shlex.join(["python", name]))}'
-    return f'give a pcap file, raw bytes or a capture (it begins with {MAGIC.decode().strip()!r})'

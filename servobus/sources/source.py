@@ -12,7 +12,13 @@ from collections.abc import Iterator
 from io import BufferedReader
 import os
 
+from msg_defs.event import Change
 from msg_defs.event import Chunk
+from msg_defs.event import LOST
+from msg_defs.event import OUT
+from servobus.plain import printable
+from servobus.sources.byte_text import ByteText
+from servobus.sources.capture import BAD_TEXT_MAX_LENGTH
 from servobus.sources.capture import lines
 from servobus.sources.capture import Moment
 from servobus.sources.capture import Reader
@@ -121,3 +127,41 @@ class RawFile(File):
         while data := self._file.read1(self.read_size):
             received += len(data)
             yield Chunk(1 + received * _BYTE_NS // baud, name, data)
+
+
+class TextFile(File):
+    """Bytes that a text shows; without exact times they are taken as sent without a pause."""
+
+    def __init__(self, name: str, file: BufferedReader, baud: int | None, text: ByteText) -> None:
+        self._text = text
+        self.is_timed = text.is_timed
+        super().__init__(name, file, baud)
+
+    def _begin(self) -> None:
+        self.total = 0
+        # No text says the rate; without times packets are placed as with the default one.
+        baud = self._baud or (0 if self.is_timed else DEFAULT_BAUD)
+        self.wires[self._bus] = Wire(self._bus, baud, port=self._name)
+
+    def chunks(self) -> Iterator[Chunk | None]:
+        name, baud = self._bus, self._baud or DEFAULT_BAUD
+        first = self._text.parts[0].time or 0
+        sent = 0
+        for data, side, time, lost, _ in self._text.parts:
+            before, sent = sent, sent + len(data)
+            at = 1 + (before if side == OUT else sent) * _BYTE_NS // baud
+            if self.is_timed and time is not None:
+                at = 1 + _BYTE_NS // baud + time - first       # its first bit is not before 0
+            yield Chunk(at, name, data, side)
+            if lost > 0:
+                yield Chunk(at, name, change=Change(LOST, lost))
+
+    def problems(self) -> list[str]:
+        """Say what the text was taken for, and what of it was not used."""
+        text = f'{self._name}: read as {self._text.shape}: {len(self._text.data)} bytes'
+        text += '' if self.is_timed else '; exact times are not known'
+        if unused := self._text.unused:
+            number, line = next(iter(unused.items()))
+            text += (f'; {len(unused)} lines not used, the first is line {number}: '
+                     f'{printable(line.strip(), BAD_TEXT_MAX_LENGTH)}')
+        return [text]

@@ -1,0 +1,250 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Text that shows bytes, as people paste it: lines in, bytes out, with times and sides where known.
+
+Hex or decimal numbers, with or without TX and RX, arrows and times; xxd, hexdump, od; socat -x;
+what strace prints with other options than ours; CSV of a logic analyser is in byte_csv.py.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import islice
+import re
+from typing import NamedTuple
+
+from msg_defs.dxl_packet import body_crc
+from msg_defs.dxl_packet import HEADER
+from msg_defs.event import IN
+from msg_defs.event import OUT
+from msg_defs.event import UNKNOWN
+
+NS = 1_000_000_000
+DAY_NS = 86_400 * NS
+EXACT_DIGITS = 6                   # decimals of a second: coarser times say nothing of a bus
+PACKET_MAX_BYTES, HEADERS_MAX = 1100, 10_000     # looked at for a right packet
+LINE_MIN_NUMBERS = 4               # among words: fewer may be words, or a date
+_NUMBER = r'(?:(?:0x|\\x)[0-9a-f]{1,2}|[0-9a-f]{1,2}|[12]\d\d)(?![0-9a-z.])'
+_NUMBERS = re.compile(rf'(?<![0-9a-z.])(?:{_NUMBER}[\s,;:|\[\](){{}}-]*)+', re.IGNORECASE)
+_JOINED = re.compile(r'(?<![0-9a-z])(?:0x)?((?:[0-9a-f]{2}){6,})(?![0-9a-z])', re.IGNORECASE)
+_DIGITS = re.compile(r'[0-9a-f]{1,3}(?![0-9a-fx])', re.IGNORECASE)
+_TIME = re.compile(r'(?<![\d.])(?:(\d{1,2}):(\d\d):(\d\d)|(?<![-+])(\d{1,10})(?=\.\d{3}))'
+                   r'(?:[.,:](\d{1,9}))?(?![\d:])(?: ?s\b)?')
+_DATE = re.compile(r'\b\d{4}[-/.]\d\d[-/.]\d\d[T ]?|\b\d\d[-/.]\d\d[-/.]\d{4}[T ]?')
+_SIDE = re.compile(r'\b(?:(tx|sent|sending|send|writ|wrote|request|out\b)'
+                   r'|(?:rx|recv|receiv|respon|repl|answer|in\b))|(->|>|\u2192)|<-?|\u2190',
+                   re.IGNORECASE)
+_DUMP = re.compile(r'([0-9a-f]{6,16})(:? {1,3})((?:[0-9a-f]{2,4} {1,2})*[0-9a-f]{2,4})(?: .*)?',
+                   re.IGNORECASE)
+_STRING = r'"((?:[^"\\]|\\.)*)"(\.\.\.)?'
+# The parts of other text have a most: a search from each of a million places must end.
+_STRACE = re.compile(rf'\b(writev?|pwrite64|readv?|pread64)\((\d+)(?:<([^>]{{,999}})>)?, '
+                     rf'(?:\[\{{iov_base=)?{_STRING}.{{,99}}\)\s{{,99}}= (-?\d{{1,9}})')
+_OPENED = re.compile(r'open(?:at)?\([^"]{,99}"(/dev/[^"]{1,99})".{,199}= (\d{1,9})')
+_SIGROK = re.compile(r'(?:\d+-\d+ )?[\w ]{1,40}-?\d*: (?:[\w/ ]{1,40}: )?([0-9A-F]{2})')
+_PYTHON = re.compile(r"""\bb(?:'((?:[^'\\]|\\.)*)'|"((?:[^"\\]|\\.)*)")""")
+_ESCAPE = re.compile(r'\\(?:x([0-9a-f]{2})|([0-7]{1,3})|(.))', re.IGNORECASE)
+_LETTERS = {'n': '\n', 'r': '\r', 't': '\t', 'v': '\v', 'f': '\f', 'a': '\a', 'b': '\b'}
+
+
+class TextBytes(NamedTuple):
+    """Bytes of one line; time: ns since any moment, None: not said. lost: left out there."""
+
+    data: bytes
+    side: str = UNKNOWN
+    time: int | None = None
+    lost: int = 0
+    file: str = ''                 # strace: the number of a file or its path
+
+
+class ByteText(NamedTuple):
+    """What a text shows; unused: the lines that show no bytes, by number."""
+
+    shape: str
+    parts: list[TextBytes]
+    unused: dict[int, str]
+
+    @property
+    def data(self) -> bytes:
+        """Return all bytes."""
+        return b''.join(one.data for one in self.parts)
+
+    @property
+    def is_timed(self) -> bool:
+        """Tell whether all bytes have exact times that never go back."""
+        times = [one.time for one in self.parts]
+        known = [one for one in times if one is not None]
+        return len(known) == len(times) and known == sorted(known)
+
+
+def read_text(text: str) -> ByteText:
+    """Return what a text shows."""
+    reader = _LineReader()
+    unused = {number: line for number, line in enumerate(text.splitlines(), 1)
+              if not reader.accept(line) and line.strip('- \t`')}
+    return ByteText(' and '.join(dict.fromkeys(reader.shapes)), _of_ports(reader), unused)
+
+
+def _of_ports(reader: _LineReader) -> list[TextBytes]:
+    """Leave out what strace shows of files that are no ports."""
+    ports = reader.ports or {one.file for one in reader.parts if one.data.startswith(b'\xff\xff')}
+    return [one for one in reader.parts if not one.file or one.file in ports]
+
+
+def holds_packet(data: bytes) -> bool:
+    """Tell whether there is a packet with a right checksum among bytes."""
+    return any(_is_packet(data[found.start():found.start() + PACKET_MAX_BYTES])
+               for found in islice(re.finditer(b'(?=\xff\xff)', data), HEADERS_MAX))
+
+
+def _is_packet(data: bytes) -> bool:
+    if data.startswith(HEADER):
+        end = 7 + int.from_bytes(data[5:7], 'little')
+        packet = data[:end]
+        return 10 <= end == len(packet) and \
+            body_crc(packet[4:-2]) == int.from_bytes(packet[-2:], 'little')
+    packet = data[:4 + data[3]] if len(data) > 3 and data[2] != 0xFF else b''
+    return 6 <= len(packet) == 4 + packet[3] and sum(packet[2:]) & 0xFF == 0xFF
+
+
+class _LineReader:
+    """Reads line after line; what a line says of time and side holds for bare lines below it."""
+
+    def __init__(self) -> None:
+        self.shapes: list[str] = []
+        self.parts: list[TextBytes] = []
+        self.ports = set[str]()    # numbers or paths, as strace prints them
+        self._side = UNKNOWN
+        self._time: int | None = None
+        self._days = 0
+
+    def accept(self, line: str) -> bool:
+        """Take a line; return whether it was of use."""
+        found = next((shape for shape, read in (
+            ('strace', self._strace), ('a hex dump', self._dump), ('Python bytes', self._python),
+            ("sigrok's text", self._sigrok), ('numbers', self._numbers)) if read(line)), '')
+        if found and found not in self.shapes:
+            self.shapes.append(found)
+        return bool(found)
+
+    def _strace(self, line: str) -> bool:
+        if opened := _OPENED.search(line):
+            if opened[1].startswith('/dev/tty') or '/serial/' in opened[1]:
+                self.ports.add(opened[2])
+            return True
+        found = _STRACE.search(line)
+        if found is None:
+            return False
+        call, number, path, text, _, result = found.groups()
+        path = unescaped(path or '').decode('latin-1')
+        if path.startswith('/dev/tty'):
+            self.ports.add(path)
+        size = int(result)
+        data = unescaped(text)[:max(0, size)]
+        if data:
+            self._add(data, OUT if 'write' in call else IN, self._time_in(line[:found.start()]),
+                      size - len(data), path or number)
+        return True
+
+    def _dump(self, line: str) -> bool:
+        found = _DUMP.fullmatch(line.rstrip())
+        if found is None:
+            return False
+        shown = re.split(r'  (?![0-9a-fA-F]{2} )', found[3])[0] if ':' in found[2] else found[3]
+        groups = shown.split()
+        # hexdump and od -x show numbers of two bytes, xxd shows two bytes after a colon.
+        swapped = ':' not in found[2] and all(len(one) == 4 for one in groups)
+        data = b''.join(bytes.fromhex(one)[::-1 if swapped else 1] for one in groups
+                        if len(one) % 2 == 0)
+        self._add(data, self._side, self._time)
+        return True
+
+    def _python(self, line: str) -> bool:
+        found = list(_PYTHON.finditer(line))
+        if not found:
+            return False
+        before = line[:found[0].start()]
+        self._add(b''.join(unescaped(one[1] or one[2] or '') for one in found),
+                  _side_in(before), self._time_in(before))
+        return True
+
+    def _sigrok(self, line: str) -> bool:
+        found = _SIGROK.fullmatch(line)
+        if found is not None:
+            self._add(bytes.fromhex(found[1]), UNKNOWN, None)
+        return found is not None
+
+    def _numbers(self, line: str) -> bool:
+        bare = _DATE.sub(lambda one: ' ' * len(one[0]), line)
+        bare = _TIME.sub(lambda one: ' ' * len(one[0]), bare)
+        data, at = _bytes_in(bare)
+        side, time = _side_in(bare[:at]), self._time_in(line[:at])
+        if not data:                           # a headline of what follows, as socat -x has
+            self._side, self._time = side, time
+            return False
+        is_bare = not side and time is None
+        self._add(data, self._side if is_bare else side, self._time if is_bare else time)
+        if not is_bare:
+            self._side, self._time = UNKNOWN, None
+        return True
+
+    def _add(self, data: bytes, side: str, time: int | None, lost: int = 0,
+             file: str = '') -> None:
+        self.parts.append(TextBytes(data, side, time, lost, file))
+
+    def _time_in(self, text: str) -> int | None:
+        """Return the time that a text says, if that is exact."""
+        found = _TIME.search(_DATE.sub(' ', text))
+        if found is None or len(found[5] or '') < EXACT_DIGITS:
+            return None
+        hours, minutes, seconds, alone, part = found.groups()
+        whole = int(alone) if alone else (int(hours) * 60 + int(minutes)) * 60 + int(seconds)
+        time = whole * NS + int(part.ljust(9, '0')) + self._days * DAY_NS
+        last = self.parts[-1].time if self.parts else None
+        if hours and last is not None and last - time > DAY_NS // 2:       # midnight
+            self._days += 1
+            time += DAY_NS
+        return time
+
+
+def unescaped(text: str) -> bytes:
+    """Return the bytes of a string as C and Python print them."""
+    def replace(found: re.Match[str]) -> str:
+        if found[1]:
+            return chr(int(found[1], 16))
+        return chr(int(found[2], 8) & 0xFF) if found[2] else _LETTERS.get(found[3], found[3])
+    return _ESCAPE.sub(replace, text).encode('latin-1', 'replace')
+
+
+def _side_in(text: str) -> str:
+    found = list(_SIDE.finditer(text))
+    words = [one for one in found if one[0].isalpha()] or found
+    return UNKNOWN if not words else OUT if words[0][1] or words[0][2] else IN
+
+
+def _bytes_in(line: str) -> tuple[bytes, int]:
+    """Return the most bytes in a row that a line shows, and where they begin."""
+    data, at, size = b'', len(line), len(line.strip())
+    for found in _runs(line):
+        one = _values(found[0])
+        is_all = len(found[0].strip()) == size
+        if len(one) > len(data) and (is_all or len(one) >= LINE_MIN_NUMBERS):
+            data, at = one, found.start()
+    return data, at
+
+
+def _runs(line: str) -> Iterator[re.Match[str]]:
+    yield from _NUMBERS.finditer(line)
+    yield from _JOINED.finditer(line)
+
+
+def _values(numbers: str) -> bytes:
+    """Return the bytes of numbers: decimal if one has three digits or none a letter."""
+    if joined := _JOINED.fullmatch(numbers.strip()):
+        return bytes.fromhex(joined[1])
+    digits = _DIGITS.findall(re.sub(r'0x|\\x', ' ', numbers, flags=re.IGNORECASE))
+    is_decimal = any(len(one) == 3 for one in digits)
+    try:
+        return bytes(int(one, 10 if is_decimal else 16) for one in digits)
+    except ValueError:             # above 255, or letters among decimals
+        return b''

@@ -1,0 +1,212 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""Text that shows bytes, as people paste it: what the tools read of it, and what they say."""
+import io
+import json
+import subprocess
+import sys
+import zipfile
+
+import pytest
+
+from msg_defs.dxl_packet import body_crc
+from servobus.tools.dxl_doctor import main as dxl_doctor
+from servobus.tools.dxl_dump import main as dxl_dump
+
+
+def packet_2(number, code, *params):
+    body = bytes((number, len(params) + 3, 0, code, *params))
+    crc = body_crc(body).to_bytes(2, 'little')
+    return b'\xff\xff\xfd\0' + body + crc
+
+
+PING = packet_2(1, 1)
+PONG = packet_2(1, 0x55, 0, 0x24, 0x04, 0x34)
+BOTH = PING + PONG
+
+
+def hexed(data, before='', between=' '):
+    return between.join(f'{before}{byte:02X}' for byte in data)
+
+
+def octal(data):
+    return ''.join(f'\\{byte:03o}' for byte in data)
+
+
+def xxd(data):
+    rows = []
+    for at in range(0, len(data), 16):
+        row = data[at:at + 16]
+        words = ' '.join(row[two:two + 2].hex() for two in range(0, len(row), 2))
+        shown = ''.join(chr(one) if 32 <= one < 127 else '.' for one in row)
+        rows.append(f'{at:08x}: {words:39}  {shown}')
+    return '\n'.join(rows)
+
+
+def hexdump_c(data):
+    rows = []
+    for at in range(0, len(data), 16):
+        row = data[at:at + 16]
+        halves = f'{row[:8].hex(" ")}  {row[8:].hex(" ")}'
+        rows.append(f'{at:08x}  {halves:48}  |{"." * len(row)}|')
+    return '\n'.join([*rows, f'{len(data):08x}', ''])
+
+
+def words(data):
+    rows = []
+    for at in range(0, len(data), 16):
+        row = data[at:at + 16]
+        rows.append(f'{at:07x} ' + ' '.join(row[two:two + 2][::-1].hex()
+                                            for two in range(0, len(row), 2)))
+    return '\n'.join([*rows, f'{len(data):07x}', ''])
+
+
+def csv(head, row, data=BOTH):
+    return '\n'.join([head, *(row.format(n=n, s=n * 1e-5, ns=n * 10_000, b=byte)
+                              for n, byte in enumerate(data))])
+
+
+STRACE = (f'openat(AT_FDCWD, "/dev/ttyUSB0", O_RDWR|O_NOCTTY) = 5\n'
+          f'read(3, "\\177ELF\\2\\1\\1", 832) = 7\n'
+          f'[pid  812] 12:00:01.000100 write(5, "{octal(PING)}", 10) = 10\n'
+          f'[pid  812] 12:00:01.000600 read(5, "{octal(PONG)}", 64) = {len(PONG)}\n')
+SHAPES = {
+    'hex': hexed(BOTH),
+    'a packet a line': f'{hexed(PING)}\n{hexed(PONG)}\n',
+    '0x and commas': hexed(PING, '0x', ', ') + '\n' + hexed(PONG, '0x', ', '),
+    '0x and bars': hexed(PING, '0x', ' | ') + '\n' + hexed(PONG, '0x', ' | '),
+    'no blanks': PING.hex() + '\n' + PONG.hex(),
+    'TX and RX': f'TX: {hexed(PING)}\nRX: {hexed(PONG)}\n',
+    'TxPacket': f'[TxPacket] {hexed(PING)} (ping)\n[RxPacket] {hexed(PONG)}\n',
+    'headlines': f'Sent:\n{hexed(PING)}\nReceived:\n{hexed(PONG)}\n',
+    'arrows': f'-> {PING.hex(" ")}\n<- {PONG.hex(" ")}\n',
+    'a fence': f'I see this:\n```\n>> {PING.hex(" ")}\n<< {PONG.hex(" ")}\n```\nHelp!\n',
+    'coarse times': f'[12:00:01.123] TX {hexed(PING)}\n[12:00:01.125] RX {hexed(PONG)}\n',
+    'dates': (f'2026-01-02 12:00:01,123 sent {hexed(PING)}\n'
+              f'2026-01-02 12:00:01,125 received {hexed(PONG)}'),
+    'decimal': f'{list(PING)}\n{list(PONG)}\n',
+    'Python': f'a {PING!r}\nb {PONG!r}\n',
+    'bytearray': f'parse {bytearray(BOTH)!r} failed',
+    'xxd': xxd(BOTH),
+    'hexdump -C': hexdump_c(BOTH),
+    'hexdump': words(BOTH),
+    'socat': (f'> 2026/01/02 12:00:01.000100  length=10 from=0 to=9\n {PING.hex(" ")}\n--\n'
+              f'< 2026/01/02 12:00:01.000600  length=14 from=0 to=13\n {PONG.hex(" ")}\n--\n'),
+    'strace': STRACE,
+    'strace -y -xx': (
+        f'write(5</dev/ttyACM0>, "{"".join(f"{chr(92)}x{one:02x}" for one in PING)}", 10) = 10\n'
+        f'read(5</dev/ttyACM0>, "{octal(PONG)}", 99) = 14\n'),
+    'sigrok-cli': '\n'.join(f'uart-1: {byte:02X}' for byte in BOTH),
+    'Logic 1': csv('Time [s],Value,Parity Error,Framing Error', '{s:.9f},0x{b:02X},,'),
+    'Logic 1 decimal': csv('Time [s],Value,Parity Error,Framing Error', '{s:.9f},{b},,'),
+    'Logic 1 analysers': csv('Time [s],Analyzer Name,Decoded Protocol Result',
+                             '{s:.9f},Async Serial,0x{b:02X}'),
+    'Logic 2': csv('name,type,start_time,duration,data,error',
+                   '"Async Serial","data",{s:.9f},1e-05,0x{b:02X},'),
+    'DSView': csv('Id,Time[ns],0:UART: RX/TX', '{n},{ns}.00,{b:02X}'),
+}
+KNOWS_SIDES = ('dates', 'TX and RX', 'TxPacket', 'headlines', 'arrows', 'a fence', 'coarse times',
+               'socat', 'strace', 'strace -y -xx')
+KNOWS_TIMES = {'socat', 'strace', *(one for one in SHAPES if one.startswith(('Logic', 'DSV')))}
+
+
+@pytest.fixture
+def run(monkeypatch, capsys, tmp_path):
+    def run_tool(tool, content, *options, name='pasted.txt'):
+        path = tmp_path / name
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        monkeypatch.setattr('sys.argv', [tool.__module__, str(path), *options])
+        code = tool()
+        return code, *capsys.readouterr()
+    return run_tool
+
+
+@pytest.mark.parametrize('shape', SHAPES)
+def test_packets_of_a_pasted_text(run, shape):
+    code, out, err = run(dxl_dump, SHAPES[shape], '--json')
+    packets = [json.loads(line) for line in out.splitlines()]
+    assert (code, [one['instruction'] for one in packets]) == (0, ['Ping', 'Status']), err
+    assert [one.get('side', '') for one in packets] == (
+        ['out', 'in'] if shape in KNOWS_SIDES else ['', ''])
+    assert 'read as' in err and ('times are not known' in err) == (shape not in KNOWS_TIMES)
+
+
+@pytest.mark.parametrize('encoding', ['utf-16', 'utf-8-sig'])
+def test_what_powershell_writes(run, encoding):
+    code, out, _ = run(dxl_dump, SHAPES['arrows'].encode(encoding), '--json')
+    assert (code, len(out.splitlines())) == (0, 2)
+
+
+def test_what_was_not_used_is_said(run):
+    _, _, err = run(dxl_dump, SHAPES['a fence'])
+    assert '2 lines not used, the first is line 1: I see this:' in err
+
+
+def test_doctor_says_nothing_of_times_and_wires(run):
+    _, out, err = run(dxl_doctor, SHAPES['coarse times'])
+    assert 'holds no times' in out and 'D+' not in out + err
+
+
+@pytest.mark.parametrize(('content', 'said'), [
+    (hexed(PING[:-1] + b'\0'), 'no packet with a right checksum; dxl_dump --check'),
+    ('FF FF zz 01\n' * 5, 'not a recording'),
+    ('name,time\n' + 'x,' * 200_000, 'not a recording'),
+    ('f' * 3_000_000, 'no packet with a right checksum'),
+    ('FF ' * 500_000, 'no packet with a right checksum'),
+    ('1:' * 500_000, 'not a recording'),
+    ('read(3, "' + '\\' * 300_001, 'not a recording'),
+    ('Time [s],Value\n' + 'nan,0xFF\ninf,0xFF\n1e999,0xFF\n', 'no packet with a right'),
+])
+@pytest.mark.parametrize('tool', [dxl_dump, dxl_doctor])
+def test_a_text_without_packets_is_refused_in_one_line(run, tool, content, said):
+    code, out, err = run(tool, content)
+    assert (code, out, err.count('\n')) == (2, '', 1) and said in err
+
+
+def test_a_text_from_a_pipe_is_read():
+    ran = subprocess.run([sys.executable, '-m', 'servobus.tools.dxl_dump', '-', '--json'],
+                         input=SHAPES['arrows'], capture_output=True, text=True)
+    assert (ran.returncode, len(ran.stdout.splitlines())) == (0, 2), ran.stderr
+
+
+def sigrok(data, rate='8 MHz', samples=8, metadata='probe2=bus\nunitsize=1'):
+    """Return a .sr file: the second of two lines, 1 MBd."""
+    levels = [1] * 50
+    for byte in data:
+        levels += [0, *(byte >> bit & 1 for bit in range(8)), 1]
+    wire = b''.join(bytes([2 * level + 1]) * samples for level in [*levels, *[1] * 50])
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, 'w', zipfile.ZIP_DEFLATED) as zipped:
+        zipped.writestr('version', '2')
+        zipped.writestr('metadata', f'[device 1]\ncapturefile=logic-1\ntotal probes=8\n'
+                        f'samplerate={rate}\n{metadata}\n')
+        zipped.writestr('logic-1-1', wire[:999])
+        zipped.writestr('logic-1-2', wire[999:])
+    return file.getvalue()
+
+
+def test_a_line_of_sigrok_is_decoded(run):
+    code, out, err = run(dxl_dump, sigrok(BOTH), '--json', '-b', '1000000', name='bus.sr')
+    packets = [json.loads(line) for line in out.splitlines()]
+    assert [one['instruction'] for one in packets] == ['Ping', 'Status'], err
+    assert packets[1]['stamp'] == pytest.approx(1e-4, abs=2e-6)
+    assert 'read as line bus of sigrok at 1000000 baud: 24 bytes' in err and code == 0
+
+
+@pytest.mark.parametrize(('content', 'options', 'said'), [
+    (sigrok(BOTH), (), 'give the baud rate'),
+    (sigrok(BOTH), ('-b', '57600'), 'no line holds a packet'),
+    (sigrok(BOTH), ('-b', '4000000'), 'too few for 4000000 baud'),
+    (sigrok(BOTH, rate='fast'), ('-b', '1000000'), 'a damaged recording'),
+    (sigrok(BOTH, metadata='unitsize=0'), ('-b', '1000000'), 'a damaged recording'),
+    (sigrok(BOTH)[:-30], ('-b', '1000000'), 'a damaged recording'),
+    (sigrok(b'\0' * 300_000), ('-b', '1000000'), 'no line holds a packet'),
+])
+def test_a_recording_of_sigrok_without_packets(run, content, options, said):
+    code, out, err = run(dxl_dump, content, *options, name='bus.sr')
+    assert (code, out, err.count('\n')) == (2, '', 1) and said in err
+
+
+def test_no_rate_is_claimed_that_the_text_does_not_say(run):
+    _, out, _ = run(dxl_doctor, SHAPES['strace'])
+    assert ' baud' not in out.splitlines()[0]
