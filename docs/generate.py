@@ -19,12 +19,12 @@ import sys
 from docs.screens import with_screens
 from dxl_monitor.monitor_settings import PARAMETERS as MONITOR
 from mecarover_serial.parameters import Parameter
+from msg_defs.diagnostics import Metric
+from msg_defs.diagnostics import unit_name
 from msg_defs.dxl_packet import encode
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.mcu_report import McuReport
-from msg_defs.reports import Metric
-from msg_defs.reports import unit_name
 from servobus.bus import report as words
 from servobus.bus.decoder import Settings
 from servobus.doctor.rule import Rule

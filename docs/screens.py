@@ -34,7 +34,7 @@ from servobus.examination import Examination
 from servobus.model.models import Models
 from servobus.sources.capture import Wire
 from servobus.tools.doctor.answer_screen import screen
-from servobus.tools.doctor.program import Ending
+from servobus.tools.doctor.program_source import Ending
 from servobus.tools.doctor.verdict import make_verdict
 
 BAUD = 1_000_000

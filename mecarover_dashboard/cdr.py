@@ -16,12 +16,12 @@ from struct import error as StructError
 from struct import Struct
 from typing import NamedTuple
 
-from msg_defs.reports import Pairs
+from msg_defs.diagnostics import Pairs
 from servobus.plain import printable
 
 TEXT_LIMIT = 500            # characters of one text that reach the page
 PAIRS_LIMIT = 4096          # in a status: the longest control table has a few hundred
-STATUSES_LIMIT = 5000       # in a message: ten full buses have half of it
+STATUSES_READ_MAX = 5000       # in a message: ten full buses have half of it
 _BYTES_OF_PAIR = 40           # about
 _FRONT = 4                  # representation and options
 _STAMP = 8
@@ -106,7 +106,7 @@ def statuses(data: bytes) -> list[RawStatus]:
     try:
         reader = _Cursor(data, _FRONT + _STAMP)
         reader.skip(1)                          # frame_id
-        return [reader.status() for _ in range(min(reader.number(), STATUSES_LIMIT))]
+        return [reader.status() for _ in range(min(reader.number(), STATUSES_READ_MAX))]
     except (StructError, IndexError) as error:
         raise CdrError(f'no DiagnosticArray: {error}') from error
 

@@ -16,10 +16,10 @@ from typing import Protocol
 from mecarover_dashboard.state import TABLES
 from mecarover_dashboard.state import TIMING
 from mecarover_serial.process import resident_memory_mb
-from msg_defs.reports import Metric
-from msg_defs.reports import metric_status
-from msg_defs.reports import Status
-from msg_defs.reports import status_name
+from msg_defs.diagnostics import Metric
+from msg_defs.diagnostics import metric_status
+from msg_defs.diagnostics import Status
+from msg_defs.diagnostics import status_name
 from msg_defs.signal import Points
 from msg_defs.signal import SPAN_S
 from servobus.bus.report import BusReport

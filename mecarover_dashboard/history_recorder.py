@@ -42,8 +42,8 @@ from mecarover_dashboard.robot_parts import RobotPart
 from mecarover_dashboard.rows import Row
 from mecarover_dashboard.state import RowReport
 from mecarover_dashboard.state import State
-from msg_defs.reports import Level
-from msg_defs.reports import SEVERITY
+from msg_defs.diagnostics import Level
+from msg_defs.diagnostics import SEVERITY
 
 EVENT_FLUSH_S = 5.0
 LIMIT_S = 300.0                 # between two looks at the size

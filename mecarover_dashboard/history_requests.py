@@ -32,8 +32,8 @@ from mecarover_dashboard.history import VALUES
 from mecarover_dashboard.history import Window
 from mecarover_dashboard.history import WINDOW_S
 from mecarover_dashboard.rows import finite
-from msg_defs.reports import Level
-from msg_defs.reports import worst
+from msg_defs.diagnostics import Level
+from msg_defs.diagnostics import worst
 
 MOST_AT_ONCE = 4                # questions; a day of 253 devices takes seconds of a core
 _MOST_POINTS = 20_000           # all sources together: six values of each take 20 MB

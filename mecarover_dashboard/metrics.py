@@ -29,7 +29,7 @@ from mecarover_dashboard.rows import Row
 from mecarover_dashboard.state import RowReport
 from mecarover_dashboard.state import State
 from msg_defs import status_keys as keys
-from msg_defs.reports import Level
+from msg_defs.diagnostics import Level
 
 MOST_FINDINGS = 1000            # series, of all robots
 _LABEL = 100                    # characters

@@ -19,7 +19,7 @@ from mecarover_dashboard.feed import Feed
 from mecarover_dashboard.source_run import S
 from mecarover_dashboard.source_run import SourceRun
 from mecarover_dashboard.source_run import TURN_S
-from msg_defs.reports import Level
+from msg_defs.diagnostics import Level
 from servobus.examination import Examination
 from servobus.examination import LONGEST_PAUSE_NS
 from servobus.examination import REPORT_NS

@@ -16,11 +16,11 @@ from typing import Any
 from typing import NamedTuple
 
 from msg_defs import status_keys as keys
-from msg_defs.reports import DRIVING
-from msg_defs.reports import Level
-from msg_defs.reports import SEVERITY
-from msg_defs.reports import status_name
-from msg_defs.reports import worst
+from msg_defs.diagnostics import DRIVING
+from msg_defs.diagnostics import Level
+from msg_defs.diagnostics import SEVERITY
+from msg_defs.diagnostics import status_name
+from msg_defs.diagnostics import worst
 
 Row = dict[str, Any]
 

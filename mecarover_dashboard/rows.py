@@ -16,12 +16,12 @@ from typing import NamedTuple
 
 from mecarover_dashboard.cdr import AnyStatus
 from msg_defs import status_keys as keys
-from msg_defs.reports import CONNECTED
-from msg_defs.reports import Level
-from msg_defs.reports import namespace_of
-from msg_defs.reports import number
-from msg_defs.reports import Pairs
-from msg_defs.reports import PORT_CLOSED
+from msg_defs.diagnostics import CONNECTED
+from msg_defs.diagnostics import Level
+from msg_defs.diagnostics import namespace_of
+from msg_defs.diagnostics import number
+from msg_defs.diagnostics import Pairs
+from msg_defs.diagnostics import PORT_CLOSED
 
 Row = dict[str, Any]
 

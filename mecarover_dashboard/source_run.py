@@ -31,7 +31,7 @@ from servobus.sources.source_name import rate_of
 from servobus.sources.tap_reader import HOLD_S
 from servobus.status import PortState
 from servobus.tools.doctor import no_data
-from servobus.tools.doctor.program import Program
+from servobus.tools.doctor.program_source import Program
 from servobus.tools.doctor.verdict import make_verdict
 from servobus.tools.doctor.verdict import Verdict
 from servobus.tools.run import models_of

@@ -27,8 +27,8 @@ from mecarover_dashboard.robot_parts import parts_of
 from mecarover_dashboard.robot_parts import RobotPart
 from mecarover_dashboard.rows import RegisterTable
 from mecarover_dashboard.rows import Row
-from msg_defs.reports import Status
-from msg_defs.reports import status_name
+from msg_defs.diagnostics import Status
+from msg_defs.diagnostics import status_name
 from servobus.plain import printable
 
 TABLES, TIMING = 'dxl/diagnostics', 'dxl/timing'

@@ -15,9 +15,9 @@ from mecarover_dashboard import rows
 from mecarover_dashboard.robot_parts import level_of
 from mecarover_dashboard.state import RowReport
 from mecarover_dashboard.state import State
-from msg_defs.reports import Level
-from msg_defs.reports import SEVERITY
-from msg_defs.reports import worst
+from msg_defs.diagnostics import Level
+from msg_defs.diagnostics import SEVERITY
+from msg_defs.diagnostics import worst
 from servobus.plain import printable
 
 HEALTHY, NOTHING, WARNING, FAILED = 0, 1, 3, 4      # exit codes; 2 is wrong usage

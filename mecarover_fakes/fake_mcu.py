@@ -37,7 +37,7 @@ from servobus.tools.command_line import Parser
 
 _READ_SIZE = 146 * FRAME_SIZE      # whole frames; a pty gives at most 4095 bytes
 _GAP_CHARACTERS = 2
-_PUMP_S = 0.01
+_STEP_S = 0.01
 
 
 class FakeMcu:
@@ -138,7 +138,7 @@ def _serve(mcu: FakeMcu, printer: _Printer, seconds: float | None,
     """Pump until the time is over, gone in between if that was asked for."""
     begin = time.monotonic()
     while seconds is None or time.monotonic() - begin < seconds:
-        printer.show(mcu.pump(_PUMP_S))
+        printer.show(mcu.pump(_STEP_S))
         if away is not None:
             is_away = away.covers(time.monotonic() - begin)
             (mcu.vanish if is_away else mcu.come_back)()

@@ -57,7 +57,7 @@ class FaultScope(NamedTuple):
 
     line: Line
     fleet: Fleet
-    pace: MasterTiming
+    timing: MasterTiming
     rng: Random
 
 
@@ -80,7 +80,7 @@ class Effect:
 
     def __init__(self, fault: Fault, scope: FaultScope) -> None:
         self.fault = fault
-        self.line, self.fleet, self.pace, self.rng = scope
+        self.line, self.fleet, self.timing, self.rng = scope
         self.has_asked = False
 
     @property

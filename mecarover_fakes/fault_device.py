@@ -137,7 +137,7 @@ class NoAck(Effect):
             led = device.field('LED') or device.field('Acceleration')
             if led is not None and self.cycle % count == device.id % count:
                 yield write(device.id, led.at, bytes(led.size))
-                self.pace.pause = self.pace.patience     # it waits for an answer
+                self.timing.pause = self.timing.patience     # it waits for an answer
                 yield Ask(device.id, Instruction.PING)
 
 
@@ -214,7 +214,7 @@ class Watchdog(Effect):
         if not self.is_armed:
             self.is_armed = True
             yield write(number, watchdog.at, bytes([WATCHDOG]))
-            self.pace.pause = 3 * WATCHDOG * 20 * MS
+            self.timing.pause = 3 * WATCHDOG * 20 * MS
         yield write(number, goal.at, self.device.bytes_in(goal))
         if self.cycle % 20 == 0:
             yield read(number, watchdog.at, 1)
@@ -224,7 +224,7 @@ class Late(Effect):
     """The device answers when the master has given up."""
 
     def play(self) -> Play:
-        self.device.extra_delay_ns = self.pace.patience + 2 * MS
+        self.device.extra_delay_ns = self.timing.patience + 2 * MS
         yield
         self.device.extra_delay_ns = 0
 

@@ -43,9 +43,9 @@ class Latency(Effect):
     """The adapter hands over received bytes only every 16 ms."""
 
     def play(self) -> Play:
-        self.pace.gap += LATENCY_NS
+        self.timing.gap += LATENCY_NS
         yield
-        self.pace.gap -= LATENCY_NS
+        self.timing.gap -= LATENCY_NS
 
 
 class TwoMasters(Effect):
@@ -125,7 +125,7 @@ class Overload(Effect):
     """The master wants more per cycle than the bus can carry."""
 
     def ask(self) -> Asks:
-        room = self.pace.period
+        room = self.timing.period
         while room > 0:
             for device in self.line.chain:
                 length = min(146, len(device.image))
@@ -137,20 +137,20 @@ class Jitter(Effect):
     """The master's cycle time varies widely."""
 
     def play(self) -> Play:
-        self.pace.jitter = 0.8
+        self.timing.jitter = 0.8
         yield
-        self.pace.jitter = 0.0
+        self.timing.jitter = 0.0
 
 
 class LateCycles(Effect):
     """The master begins 6 % of its cycles 1.5 periods late, and goes on from there."""
 
     def play(self) -> Play:
-        self._usual = self.pace.period
+        self._usual = self.timing.period
         yield
-        self.pace.period = self._usual
+        self.timing.period = self._usual
 
     def ask(self) -> Asks:
         is_late = self.rng.random() < 0.06
-        self.pace.period = self._usual * 5 // 2 if is_late else self._usual
+        self.timing.period = self._usual * 5 // 2 if is_late else self._usual
         return ()

@@ -54,9 +54,9 @@ class Master:
         self.pattern = pattern
         self._started = started
         self._fleet = Fleet(line, lambda: self.now)
-        self._pace = MasterTiming(round(S / rate) if rate else 0, gap, patience)
+        self._timing = MasterTiming(round(S / rate) if rate else 0, gap, patience)
         self._rng = Random(seed)
-        self._faults = Faults(list(faults), FaultScope(line, self._fleet, self._pace, self._rng))
+        self._faults = Faults(list(faults), FaultScope(line, self._fleet, self._timing, self._rng))
         self._backlog: list[Exchange] = []
         self._pending: list[Burst] = []        # not yet decided, with what is around them
         self._busy_until = 0
@@ -106,23 +106,23 @@ class Master:
 
     def _next_cycle(self, begin: int) -> int:
         """Move on to the next cycle; return when it should have begun."""
-        pace = self._pace
-        if not pace.period:
+        timing = self._timing
+        if not timing.period:
             if self.now == begin:
                 self.now += QUIET_NS
             return self.now
-        begin += pace.period
-        late = round(pace.period * pace.jitter * self._rng.random())
+        begin += timing.period
+        late = round(timing.period * timing.jitter * self._rng.random())
         self.now = max(self.now, begin + late)
         self._faults.update(self.now)
-        return max(begin, self.now - pace.period)    # a lost cycle is not made up for
+        return max(begin, self.now - timing.period)    # a lost cycle is not made up for
 
     def _play(self, asks: Asks) -> Iterator[Burst]:
         for ask in asks:
             if self.is_over(self.now):
                 return
-            self.now += self._pace.pause
-            self._pace.pause = 0
+            self.now += self._timing.pause
+            self._timing.pause = 0
             yield from self._ask(ask)
 
     def _ask(self, ask: Ask) -> Iterator[Burst]:
@@ -163,10 +163,10 @@ class Master:
         else:
             sizes = [access.length for access in exchange.request.accesses] or [0]
             size = sum(sizes) + self.line.status_size * len(sizes)
-            wait = wire_ns(size, self.line.baud) + self._pace.patience
+            wait = wire_ns(size, self.line.baud) + self._timing.patience
             if exchange.complete:
                 wait = min(wait, exchange.end - asked.end)
-        return max(asked.end + wait, self._strays_until) + self._pace.gap
+        return max(asked.end + wait, self._strays_until) + self._timing.gap
 
     def _flush(self) -> Iterator[Burst]:
         """

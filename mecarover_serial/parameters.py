@@ -15,9 +15,9 @@ import math
 from typing import Any
 from typing import NamedTuple
 
-from msg_defs.reports import HEADLINE
-from msg_defs.reports import number
-from msg_defs.reports import TIMING_TOPICS
+from msg_defs.diagnostics import HEADLINE
+from msg_defs.diagnostics import number
+from msg_defs.diagnostics import TIMING_TOPICS
 from servobus.errors import did_you_mean
 from servobus.errors import ParameterError
 

@@ -23,18 +23,18 @@ from diagnostic_msgs.msg import KeyValue
 from rclpy.event_handler import PublisherEventCallbacks
 from std_msgs.msg import Float64
 
-from msg_defs.reports import ALL
-from msg_defs.reports import HEADLINE
-from msg_defs.reports import headline
-from msg_defs.reports import Joint
-from msg_defs.reports import Level
-from msg_defs.reports import Metric
-from msg_defs.reports import metric_status
-from msg_defs.reports import OFF
-from msg_defs.reports import Pairs
-from msg_defs.reports import Status
-from msg_defs.reports import topic_names
-from msg_defs.reports import unit_name
+from msg_defs.diagnostics import ALL
+from msg_defs.diagnostics import HEADLINE
+from msg_defs.diagnostics import headline
+from msg_defs.diagnostics import Joint
+from msg_defs.diagnostics import Level
+from msg_defs.diagnostics import Metric
+from msg_defs.diagnostics import metric_status
+from msg_defs.diagnostics import OFF
+from msg_defs.diagnostics import Pairs
+from msg_defs.diagnostics import Status
+from msg_defs.diagnostics import topic_names
+from msg_defs.diagnostics import unit_name
 from msg_defs.status_keys import PART
 
 try:

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 TYPE_CHECKING = False               # not from typing: it is the first import of every command
 if TYPE_CHECKING:
+    from msg_defs.diagnostics import Level
     from msg_defs.event import Change
     from msg_defs.event import Chunk
-    from msg_defs.reports import Level
     from servobus.bus.decoder import Settings
     from servobus.bus.expected import Expected
     from servobus.bus.expected import parse_all
@@ -38,7 +38,7 @@ _HOMES = {
     'DeviceReport': 'servobus.bus.report',
     'Expected': 'servobus.bus.expected',
     'Finding': 'servobus.bus.report',
-    'Level': 'msg_defs.reports',
+    'Level': 'msg_defs.diagnostics',
     'Listening': 'servobus.listening',
     'ModelError': 'servobus.model.checked_yaml',
     'Models': 'servobus.model.models',

@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from collections.abc import Sequence
 from typing import Protocol
 
+from msg_defs.diagnostics import Level
 from msg_defs.event import Chunk
-from msg_defs.reports import Level
 from servobus.bus.decoder import DEFAULTS
 from servobus.bus.report import BusReport
 from servobus.bus.report import Finding

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from msg_defs.reports import Joint
+from msg_defs.diagnostics import Joint
 from servobus.bus.device import Device
 from servobus.bus.table import Observed
 

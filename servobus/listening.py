@@ -18,6 +18,7 @@ from types import TracebackType
 from typing import Any
 from typing import overload
 
+from msg_defs.diagnostics import Level
 from msg_defs.event import BAUD
 from msg_defs.event import Change
 from msg_defs.event import CHANGES
@@ -25,7 +26,6 @@ from msg_defs.event import Chunk
 from msg_defs.event import CLOSED
 from msg_defs.event import IN
 from msg_defs.event import OUT
-from msg_defs.reports import Level
 from servobus.bus.decoder import DEFAULTS
 from servobus.bus.decoder import PROTOCOLS
 from servobus.bus.expected import parse_all

@@ -17,6 +17,8 @@ from time import monotonic_ns
 from typing import Any
 from typing import NamedTuple
 
+from msg_defs.diagnostics import Level
+from msg_defs.diagnostics import Metric
 from msg_defs.event import BREAK
 from msg_defs.event import Change
 from msg_defs.event import CLOSED
@@ -25,8 +27,6 @@ from msg_defs.event import OUT
 from msg_defs.event import OVERRUN
 from msg_defs.event import PARITY
 from msg_defs.event import UNKNOWN
-from msg_defs.reports import Level
-from msg_defs.reports import Metric
 from msg_defs.timing import Series
 from servobus.bus import evidence as ev
 from servobus.bus.decoder import BusDecoder

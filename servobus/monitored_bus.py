@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from functools import cached_property
 import time
 
+from msg_defs.diagnostics import Pairs
+from msg_defs.diagnostics import pairs
 from msg_defs.event import Chunk
-from msg_defs.reports import Pairs
-from msg_defs.reports import pairs
 from servobus.bus.report import BusReport
 from servobus.doctor.case import Names
 from servobus.doctor.case import PARAMETERS
@@ -18,10 +18,10 @@ from servobus.monitor import Monitor
 from servobus.port.inspection import Inspection
 from servobus.settings import Bus
 from servobus.sources.capture import Wire
-from servobus.sources.driver import adapter
 from servobus.sources.listener import RECORDS_EVERY_S
 from servobus.sources.listeners import listener_on
 from servobus.sources.recorders import Recorders
+from servobus.sources.serial_driver import adapter
 from servobus.sources.source_name import is_live
 from servobus.status import PortState
 

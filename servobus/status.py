@@ -15,17 +15,17 @@ import json
 from typing import NamedTuple
 
 from msg_defs import status_keys as keys
-from msg_defs.reports import hardware_id
-from msg_defs.reports import Level
-from msg_defs.reports import Metric
-from msg_defs.reports import number
-from msg_defs.reports import Pairs
-from msg_defs.reports import pairs
-from msg_defs.reports import PORT_CLOSED
-from msg_defs.reports import PORT_OPEN
-from msg_defs.reports import Status
-from msg_defs.reports import status_name
-from msg_defs.reports import worst
+from msg_defs.diagnostics import hardware_id
+from msg_defs.diagnostics import Level
+from msg_defs.diagnostics import Metric
+from msg_defs.diagnostics import number
+from msg_defs.diagnostics import Pairs
+from msg_defs.diagnostics import pairs
+from msg_defs.diagnostics import PORT_CLOSED
+from msg_defs.diagnostics import PORT_OPEN
+from msg_defs.diagnostics import Status
+from msg_defs.diagnostics import status_name
+from msg_defs.diagnostics import worst
 from servobus.bus.report import BusReport
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import Finding

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import yaml
 
+from msg_defs.diagnostics import Level
+from msg_defs.diagnostics import Metric
 from msg_defs.dxl_instruction import Instruction as I
-from msg_defs.reports import Level
-from msg_defs.reports import Metric
 from msg_defs.timing import Summary
 from servobus.bus import evidence as ev
 from servobus.bus import report as words

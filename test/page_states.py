@@ -95,6 +95,12 @@ class Row:
         self.robots, self.level, self.count = [
             _robot(**one) for one in robots] or [Robot()], level, count
 
+    @property
+    def bar(self):
+        """The text that is seen first: of devices that have cards of their own it is the mark."""
+        names_devices = re.match('(Lost|Error|Warning): ', self.headline)
+        return self.mark if names_devices and len(self.robots) == 1 else self.headline
+
 
 def _robot(bus=None, port='', **of):
     if bus is not None:

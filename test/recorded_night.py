@@ -16,8 +16,8 @@ from mecarover_dashboard.history import HistoryWriter
 from mecarover_dashboard.history_recorder import HistorySampler
 from mecarover_dashboard.state import State
 from mecarover_dashboard.state import TABLES
-from msg_defs.reports import Level
-from msg_defs.reports import Status
+from msg_defs.diagnostics import Level
+from msg_defs.diagnostics import Status
 
 SERVOS = 3
 SICK = 'dxl_monitor: 003 knee'

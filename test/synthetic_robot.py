@@ -13,10 +13,10 @@ from pathlib import Path
 import yaml
 
 from fuzz.dashboard import cdr
-from msg_defs.reports import Level
-from msg_defs.reports import Metric
-from msg_defs.reports import metric_status
-from msg_defs.reports import Status
+from msg_defs.diagnostics import Level
+from msg_defs.diagnostics import Metric
+from msg_defs.diagnostics import metric_status
+from msg_defs.diagnostics import Status
 from msg_defs.timing import Summary
 from servobus.bus import report as words
 from servobus.bus.decoder import Settings

@@ -13,7 +13,7 @@ from mecarover_fakes.guarded_receiver import GuardedReceiver
 from mecarover_fakes.receiver import Receiver
 from msg_defs.crc import crc32_mpeg2
 from msg_defs.crc import crc32_mpeg2_words
-from msg_defs.reports import Level
+from msg_defs.diagnostics import Level
 from msg_defs.timing import Series
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import STOP

@@ -6,7 +6,7 @@ from doctor_case import device
 from doctor_case import S
 
 from dxl_monitor.bus_log import BusLog
-from msg_defs.reports import Level
+from msg_defs.diagnostics import Level
 from servobus.bus import report as words
 from servobus.bus.report import Finding
 

@@ -10,6 +10,7 @@ from tracked_bus import reply
 from tracked_bus import words
 import yaml
 
+from msg_defs.diagnostics import Level
 from msg_defs.dxl1_packet import encode as encode_1
 from msg_defs.dxl_packet import encode
 from msg_defs.event import AWAY
@@ -20,7 +21,6 @@ from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import TRACED
 from msg_defs.event import UNKNOWN
-from msg_defs.reports import Level
 from servobus.bus.cycle_time import NO_RATE
 from servobus.bus.cycle_time import NO_SIDES
 from servobus.doctor.case import History

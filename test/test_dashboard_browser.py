@@ -25,10 +25,10 @@ from synthetic_robot import serialise
 from synthetic_robot import SyntheticRobot
 
 from mecarover_dashboard.history import HistoryWriter
-from msg_defs.reports import Level
-from msg_defs.reports import Metric
-from msg_defs.reports import metric_status
-from msg_defs.reports import Status
+from msg_defs.diagnostics import Level
+from msg_defs.diagnostics import Metric
+from msg_defs.diagnostics import metric_status
+from msg_defs.diagnostics import Status
 from msg_defs.signal import PointRing
 
 WHY_NOT = dashboard_page.why_not()

@@ -40,7 +40,7 @@ from mecarover_dashboard.history_recorder import HistorySampler
 from mecarover_dashboard.history_recorder import MOST_ERRORS
 from mecarover_dashboard.serve import open_history
 from mecarover_dashboard.state import State
-from msg_defs.reports import Level
+from msg_defs.diagnostics import Level
 
 NIGHT = 1_790_000_000               # Unix s, when the recorded nights begin
 KNEE = Subject('dxl_monitor: 007 left_knee', 'devices', '', 'A')

@@ -14,8 +14,8 @@ from mecarover_dashboard.state import MOST_ROWS
 from mecarover_dashboard.state import State
 from mecarover_dashboard.state import TABLES
 from msg_defs import status_keys as keys
-from msg_defs.reports import Level
-from msg_defs.reports import Status
+from msg_defs.diagnostics import Level
+from msg_defs.diagnostics import Status
 
 KNEE = 'dxl_monitor: 007 left_knee'
 
@@ -254,8 +254,8 @@ def test_messages_of_others_are_bounded_too():
     take_one(one_device([('z' * MOST_OF_STATUS, '')]), state=state)
     assert state.refused == 2
     state.store_message(TABLES, serialise([one_device(name=f'a: 011 {n}') for n in range(
-        2 * cdr.STATUSES_LIMIT)]), 1.0)
-    assert state.refused == 2 + cdr.STATUSES_LIMIT - MOST_ROWS
+        2 * cdr.STATUSES_READ_MAX)]), 1.0)
+    assert state.refused == 2 + cdr.STATUSES_READ_MAX - MOST_ROWS
 
 
 def test_a_crowd_that_has_left_makes_room():

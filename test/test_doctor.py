@@ -14,9 +14,9 @@ from heard_bus import READ
 from heard_bus import REPLY
 import pytest
 
+from msg_defs.diagnostics import Level
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
-from msg_defs.reports import Level
 from servobus.doctor import Doctor
 from servobus.doctor import RULES
 from servobus.doctor import rules

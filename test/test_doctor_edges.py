@@ -19,8 +19,8 @@ from doctor_case import speaks_from_its_edge_on
 import pytest
 import yaml
 
+from msg_defs.diagnostics import Level
 from msg_defs.dxl_instruction import Instruction as I
-from msg_defs.reports import Level
 from rigs.tables import rows_of
 from servobus.bus import evidence as ev
 from servobus.bus.report import Counts

@@ -33,8 +33,8 @@ from mecarover_fakes.faults import parse
 from mecarover_fakes.line import Line
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
+from msg_defs.diagnostics import Level
 from msg_defs.event import Chunk
-from msg_defs.reports import Level
 from msg_defs.uart import byte_ns
 from msg_defs.uart import heard_at
 from servobus.bus.report import FAILED
@@ -53,7 +53,7 @@ from servobus.tools.doctor import issue_report
 from servobus.tools.doctor import no_data
 from servobus.tools.doctor.answer_screen import screen
 from servobus.tools.doctor.error_window import ErrorWindow
-from servobus.tools.doctor.program import Ending
+from servobus.tools.doctor.program_source import Ending
 from servobus.tools.doctor.verdict import DeviceGroup
 from servobus.tools.doctor.verdict import ERROR
 from servobus.tools.doctor.verdict import make_verdict

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 from harness import wait
 import pytest
 
+from msg_defs.diagnostics import Level
 from msg_defs.event import Change
 from msg_defs.event import Chunk
-from msg_defs.reports import Level
 from servobus.bus.report import DISCONNECTED
 from servobus.errors import ParameterError
 from servobus.sources.capture import Moment

@@ -15,6 +15,7 @@ from heard_bus import Bus
 import pytest
 import yaml
 
+from msg_defs.diagnostics import Level
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 from msg_defs.event import BAUD
@@ -24,7 +25,6 @@ from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import PURGED
 from msg_defs.event import UNREAD
-from msg_defs.reports import Level
 from servobus.bus.report import RAISED
 from servobus.doctor.finding_log import BusSummary
 from servobus.doctor.finding_log import FindingLog

@@ -282,7 +282,7 @@ def test_a_topic(copy):
     assert code.run('-c', """
 from servobus.model.models import Models
 from servobus.monitor import Monitor
-from msg_defs.reports import metric_status
+from msg_defs.diagnostics import metric_status
 [metric] = [one for one in Monitor('', Models()).report(0).metrics if one.name == 'look_rate']
 print(metric_status('dxl_monitor', metric).name, metric.value)
 """) == 'dxl_monitor: timing/look_rate 3.0'

@@ -7,10 +7,10 @@ from heard_bus import Bus
 from heard_bus import MODELS
 import pytest
 
+from msg_defs.diagnostics import Joint
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
-from msg_defs.reports import Joint
 from servobus.bus.expected import Expected
 
 TICK = 0.0015339807879             # rad: the resolution of an encoder of 4096 steps

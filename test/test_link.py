@@ -12,7 +12,7 @@ from harness import wait
 import pytest
 from terminal_server import TerminalServer
 
-from msg_defs.reports import Level
+from msg_defs.diagnostics import Level
 from msg_defs.vel2d import decode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP

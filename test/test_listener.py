@@ -15,9 +15,9 @@ from terminal_server import TerminalServer
 
 from servobus.bus.report import LineErrors
 from servobus.port.pty import Pty
-from servobus.sources.driver import adapter
-from servobus.sources.driver import latency_timer_ms
 from servobus.sources.listener import Listener
+from servobus.sources.serial_driver import adapter
+from servobus.sources.serial_driver import latency_timer_ms
 
 pytestmark = pytest.mark.realtime(bears=0.02)
 

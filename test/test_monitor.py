@@ -19,6 +19,7 @@ from tracked_bus import packets
 import yaml
 
 from msg_defs import dxl1_packet
+from msg_defs.diagnostics import Level
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
@@ -26,7 +27,6 @@ from msg_defs.event import Change
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
-from msg_defs.reports import Level
 from servobus import internal_fault
 from servobus.bus.decoder import BusDecoder
 from servobus.bus.decoder import Settings

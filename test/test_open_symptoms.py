@@ -8,7 +8,7 @@ from doctor_case import note
 from doctor_case import NOW
 import pytest
 
-from msg_defs.reports import Level
+from msg_defs.diagnostics import Level
 from servobus.bus import evidence as ev
 from servobus.bus import report as words
 from servobus.bus.report import Finding

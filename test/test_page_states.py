@@ -20,7 +20,7 @@ from page_states import rows
 from page_states import Stage
 import pytest
 
-from msg_defs.reports import Level
+from msg_defs.diagnostics import Level
 
 WHY_NOT = dashboard_page.why_not()
 pytestmark = [pytest.mark.realtime(bears=0.5),
@@ -53,9 +53,7 @@ def look(page, row, stage):
 
     def is_shown():
         seen.update(page.evaluate(FIRST))
-        # The bar names devices as the tab does; what to do is said in their cards.
-        return re.search(f'{row.headline}|{row.mark or row.headline}',
-                         seen['text'].replace('\n', ' ')) \
+        return re.search(row.bar, seen['text'].replace('\n', ' ')) \
             and (not row.mark or re.search(row.mark, seen['title']))
     try:
         wait(is_shown)

@@ -14,6 +14,7 @@ import pytest
 from test_foreign_programs import played
 import yaml
 
+from msg_defs.diagnostics import Level
 from msg_defs.dxl1_packet import encode
 from msg_defs.event import Change
 from msg_defs.event import Chunk
@@ -21,7 +22,6 @@ from msg_defs.event import CLOSED
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import UNREAD
-from msg_defs.reports import Level
 from servobus.bus.report import OWN
 from servobus.bus.report import STOLE_REPLIES
 from servobus.examination import Examination
@@ -29,7 +29,7 @@ from servobus.model.models import Models
 from servobus.sources import tap_sender as sent
 from servobus.sources.capture import Wire
 from servobus.sources.tap_reader import TapRecord
-from servobus.tools.doctor.program import Openings
+from servobus.tools.doctor.program_source import Openings
 from servobus.tools.doctor.verdict import make_verdict
 
 MS = 1_000_000

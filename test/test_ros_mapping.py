@@ -10,10 +10,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from msg_defs.reports import Joint
-from msg_defs.reports import Level
-from msg_defs.reports import Metric
-from msg_defs.reports import Status
+from msg_defs.diagnostics import Joint
+from msg_defs.diagnostics import Level
+from msg_defs.diagnostics import Metric
+from msg_defs.diagnostics import Status
 from msg_defs.timing import Series
 
 pytestmark = pytest.mark.ros

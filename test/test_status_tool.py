@@ -22,8 +22,8 @@ from mecarover_dashboard.status_lines import exit_code
 from mecarover_dashboard.status_lines import screen
 from mecarover_dashboard.status_lines import status_lines
 from mecarover_dashboard.status_lines import table
-from msg_defs.reports import Level
-from msg_defs.reports import Status
+from msg_defs.diagnostics import Level
+from msg_defs.diagnostics import Status
 
 
 def told(*robots, state=None, now_s=100.0):

@@ -23,12 +23,12 @@ from mecarover_dashboard.history import HistoryWriter
 from mecarover_dashboard.history import Subject
 from mecarover_dashboard.history import Window
 from mecarover_dashboard.state import OVERVIEW
+from msg_defs.diagnostics import Level
+from msg_defs.diagnostics import Status
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 from msg_defs.event import Chunk
-from msg_defs.reports import Level
-from msg_defs.reports import Status
 from servobus.plain import plain
 from servobus.plain import printable
 from servobus.port.port_error import PortError

@@ -22,9 +22,9 @@ from mecarover_dashboard.state import State
 from mecarover_dashboard.state import TABLES
 from msg_defs import dxl1_packet
 from msg_defs import dxl_packet
+from msg_defs.diagnostics import Level
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import BROADCAST
-from msg_defs.reports import Level
 from servobus.bus.decoder import Settings
 from servobus.bus.expected import parse_all
 from servobus.doctor import RULES

@@ -28,8 +28,8 @@ from mecarover_serial.ros_node import warn_of_overrides
 from msg_defs.crc import CRC_INPUTS
 from msg_defs.crc import CRC_IS_FAST
 from msg_defs.crc import SLOW_CRC_WARNING
-from msg_defs.reports import Level
-from msg_defs.reports import Status
+from msg_defs.diagnostics import Level
+from msg_defs.diagnostics import Status
 from msg_defs.ros import DiagnosticArrays
 from msg_defs.ros import full_name
 from msg_defs.ros import QUEUE_DEPTH

@@ -13,15 +13,15 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from msg_defs import status_keys as keys
-from msg_defs.reports import DRIVING
-from msg_defs.reports import hardware_id
-from msg_defs.reports import Level
-from msg_defs.reports import number
-from msg_defs.reports import pairs
-from msg_defs.reports import PORT_CLOSED
-from msg_defs.reports import PORT_OPEN
-from msg_defs.reports import Status
-from msg_defs.reports import status_name
+from msg_defs.diagnostics import DRIVING
+from msg_defs.diagnostics import hardware_id
+from msg_defs.diagnostics import Level
+from msg_defs.diagnostics import number
+from msg_defs.diagnostics import pairs
+from msg_defs.diagnostics import PORT_CLOSED
+from msg_defs.diagnostics import PORT_OPEN
+from msg_defs.diagnostics import Status
+from msg_defs.diagnostics import status_name
 from msg_defs.timing import Summary
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d

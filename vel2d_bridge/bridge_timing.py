@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from mecarover_serial.process import resident_memory_mb
-from msg_defs.reports import Metric
+from msg_defs.diagnostics import Metric
 from msg_defs.timing import Rate
 from msg_defs.timing import Series
 from vel2d_bridge.pacer import Sent

@@ -45,7 +45,7 @@ export function drawPlot(canvas, shown, view) {
       isFaint: one.isSampled}, view));
   pen.restore();
   if (view.drag) drawDrag(pen, area, at, view.drag, colours);
-  if (view.mark !== null) drawMark(pen, area, at.x(view.mark), colours);
+  if (view.mark !== null) drawUpright(pen, area, at.x(view.mark), colours, LIMIT_DASH);
   if (view.cursor !== null) drawCursor(pen, area, at, shown, view, colours);
   return area;
 }
@@ -240,10 +240,10 @@ function drawDrag(pen, area, at, [from, to], colours) {
 /** How near the cursor is to a point that it means, s. */
 export const nearOf = ({width}, from, to) => 4 * (to - from) / width;
 
-function drawMark(pen, {top, height}, x, colours) {
+function drawUpright(pen, {top, height}, x, colours, dash = []) {
   pen.strokeStyle = colours.text;
   pen.lineWidth = 1;
-  pen.setLineDash(LIMIT_DASH);
+  pen.setLineDash(dash);
   pen.beginPath();
   pen.moveTo(x, top);
   pen.lineTo(x, top + height);
@@ -252,12 +252,7 @@ function drawMark(pen, {top, height}, x, colours) {
 }
 
 function drawCursor(pen, area, at, shown, {cursor, gap, from, to}, colours) {
-  pen.strokeStyle = colours.text;
-  pen.lineWidth = 1;
-  pen.beginPath();
-  pen.moveTo(at.x(cursor), area.top);
-  pen.lineTo(at.x(cursor), area.top + area.height);
-  pen.stroke();
+  drawUpright(pen, area, at.x(cursor), colours);
   shown.forEach(({points}, index) => {
     const found = readAt(points, cursor, nearOf(area, from, to), gap);
     if (!found) return;

@@ -80,8 +80,8 @@ export class Plot {
    * hasDots, isSampled, remove}] up to now (s): a dot for each point where they are far apart,
    * wherever they are samples; what its button does.
    * options: `low`, where the scale begins; `limits`, [[name, value], ...]; `gap`, s without a
-   * point that break the line; `unix(s)`, the Unix time of a time; `timeOfDay(s)`, a text after it; `zero`, s that are called now;
-   * `rest`, s between two moves of the plot.
+   * point that break the line; `unix(s)`, the Unix time of a time; `timeOfDay(s)`, a text after
+   * it; `zero`, s that are called now; `rest`, s between two moves of the plot.
    */
   update(series, now, options = {}) {
     const isOther = series.map(nameOf).join() !== this.#series.map(nameOf).join();

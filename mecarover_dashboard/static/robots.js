@@ -33,7 +33,8 @@ function robotOf(store, name) {
   const lines = store.parts().map((part) => {
     const count = counts.get(`${part.node}/${part.bus}`) ?? '';
     const of = part.bus === '' ? '' : `${part.bus ?? 'Bridge'}: `;
-    return [part.row_name, part.state, `${count}${of}${store.said(part, part.text)}`, part.is_known];
+    return [part.row_name, part.state, `${count}${of}${store.said(part, part.text)}`,
+      part.is_known];
   });
   const total = store.groups().reduce((count, group) => count + group.devices.length, 0);
   return {name, lines, total, state: worst(lines.map(([, state]) => state)),

@@ -260,8 +260,9 @@ function extremes(points) {
 
 /** Nothing of what was written: the mean of rare writes is not that of the time they hold. */
 function averageOf(signal, from, to) {
+  if (signal.isWritten) return [];
   const {count, mean, deviation} = signal.statistics(from, to);
-  return !signal.isWritten && deviation > 0
+  return deviation > 0
     ? [`mean ${figure(mean)}, \u03c3 ${figure(deviation, 3)} of ${count}`] : [];
 }
 

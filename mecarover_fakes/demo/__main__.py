@@ -20,7 +20,7 @@ import time
 from typing import Any
 import urllib.request
 
-from mecarover_fakes.demo.device_lines import DeviceLines
+from mecarover_fakes.demo.device_watch import DeviceWatch
 from mecarover_fakes.demo.process_group import ProcessGroup
 from mecarover_fakes.demo.scenes import judge
 from mecarover_fakes.demo.scenes import judge_missed
@@ -102,7 +102,7 @@ class DemoRun:
         print(f'demo: fake MCU on {mcu}, fake Dynamixel bus on {bus}', flush=True)
         self._mcu = group.start('mecarover_fakes.fake_mcu', '--link', mcu, '--json')
         self._bridge = group.start('vel2d_bridge.main', '--ros-args', '-p', f'port:={mcu}')
-        self._devices = DeviceLines(operator.state)
+        self._devices = DeviceWatch(operator.state)
         self._group = group
         self._truth = os.path.join(folder, 'truth.json')
         devices = ','.join(DEVICES)

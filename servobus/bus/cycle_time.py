@@ -18,13 +18,13 @@ from operator import attrgetter
 from operator import sub
 from typing import NamedTuple
 
+from msg_defs.diagnostics import Metric
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.event import AWAY
 from msg_defs.event import BUSY
 from msg_defs.event import Change
 from msg_defs.event import GAVE_UP
 from msg_defs.event import TRACED
-from msg_defs.reports import Metric
 from msg_defs.timing import Rate
 from msg_defs.timing import Series
 from servobus.bus.plan import Plan

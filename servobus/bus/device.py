@@ -11,11 +11,11 @@ from collections import Counter
 from collections import deque
 from functools import lru_cache
 
+from msg_defs.diagnostics import Level
 from msg_defs.dxl1_instruction import Dialect
 from msg_defs.dxl1_instruction import error_text as bits_text
 from msg_defs.dxl1_instruction import FEETECH
 from msg_defs.dxl_instruction import error_text
-from msg_defs.reports import Level
 from msg_defs.timing import Series
 from servobus.bus.report import Counts
 from servobus.bus.report import DeviceReport
@@ -101,7 +101,7 @@ class Device:
         self.owed = 0
         self._given_up = -LATE_REPLY_NS           # when an answer was last given up
         self.is_unusual = True
-        self.forget_return_level()
+        self.forget_answering()
         self.reset_statistics()
         self.set_model(UNKNOWN)
 
@@ -182,7 +182,7 @@ class Device:
         self.identity_stamp = stamp
         self.is_unresolved = True              # DeviceRegistry.resolve() makes use of it
 
-    def forget_return_level(self) -> None:
+    def forget_answering(self) -> None:
         """Forget what it answers: it is another device, or was never heard."""
         self.return_level: int | None = None
         self.acks: bool | None = None

@@ -158,7 +158,7 @@ class DeviceRegistry:
         firmware = device.identity[2] if len(device.identity) > 2 else None
         stamp = device.identity_stamp
         if device.model_number not in (None, number):
-            device.forget_return_level()
+            device.forget_answering()
         device.model_number = number
         device.firmware = firmware
         device.set_model(self._models.get(key, firmware) or UNKNOWN)
@@ -172,7 +172,7 @@ class DeviceRegistry:
         """Give a device of an unknown model the registers that what is used of it speaks for."""
         if device.model_number is None and device.model is not layout:
             if layout is UNKNOWN:
-                device.forget_return_level()
+                device.forget_answering()
             device.set_model(layout)          # plans hold: what they counted is worth more
 
     def _read_identity(self, device: Device, address: int, data: bytes, stamp: int) -> None:

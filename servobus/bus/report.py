@@ -19,11 +19,11 @@ from typing import Generic
 from typing import NamedTuple
 from typing import TypeVar
 
-from msg_defs import reports
+from msg_defs import diagnostics
 from msg_defs import status_keys as keys
+from msg_defs.diagnostics import Level
+from msg_defs.diagnostics import Metric
 from msg_defs.event import UNKNOWN
-from msg_defs.reports import Level
-from msg_defs.reports import Metric
 from msg_defs.timing import Summary
 from servobus.bus.table import Observed
 from servobus.model.control_table import Model
@@ -31,7 +31,7 @@ from servobus.model.control_table import Model
 PROTOCOL_2 = 'Dynamixel 2.0'       # besides the names of the dialects of the 1.0 family
 
 # State words of a device.
-CONNECTED = reports.CONNECTED
+CONNECTED = diagnostics.CONNECTED
 DISCONNECTED = 'disconnected'      # more answers missed in a row than missed_limit
 SILENT = 'silent'                  # not asked, and silent, for silent_after
 EXPECTED = 'expected'              # listed in `devices`, never heard

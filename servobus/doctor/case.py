@@ -464,7 +464,6 @@ class History:
             while samples[0].stamp < before:
                 samples.popleft()
 
-
     def _note_motion(self, device: DeviceReport, now: Observed, samples: deque[Sample],
                      before: float) -> None:
         """Keep where a joint was between two reports, if it was at neither of their places."""

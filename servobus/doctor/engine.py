@@ -9,8 +9,8 @@ lasts until that is seen again (standing.py), and what another claim accounts fo
 
 from __future__ import annotations
 
-from msg_defs.reports import Level
-from msg_defs.reports import worst
+from msg_defs.diagnostics import Level
+from msg_defs.diagnostics import worst
 from msg_defs.units import NS_PER_S
 from servobus.bus.decoder import DEFAULTS
 from servobus.bus.decoder import Settings

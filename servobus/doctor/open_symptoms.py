@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from collections.abc import Set
 from typing import NamedTuple
 
-from msg_defs.reports import Level
+from msg_defs.diagnostics import Level
 from servobus.bus import evidence as ev
 from servobus.bus import report as words
 from servobus.bus.report import BusReport

@@ -21,7 +21,7 @@ from math import log
 from typing import Any
 from typing import NamedTuple
 
-from msg_defs.reports import Level
+from msg_defs.diagnostics import Level
 from servobus.bus.report import IncidentKind
 from servobus.doctor.symptom import PROOF
 from servobus.doctor.symptom import Symptom

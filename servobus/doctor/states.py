@@ -11,8 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from msg_defs.reports import Level
-from msg_defs.reports import number
+from msg_defs.diagnostics import Level
+from msg_defs.diagnostics import number
 from servobus.bus import report as words
 from servobus.bus.decoder import Settings
 from servobus.bus.device import WINDOW_S

@@ -10,15 +10,16 @@ from __future__ import annotations
 import csv
 import re
 
+from msg_defs.units import NS_PER_MS
+from msg_defs.units import NS_PER_S
 from servobus.sources.byte_text import ByteText
-from servobus.sources.byte_text import NS
 from servobus.sources.byte_text import TextBytes
 from servobus.sources.byte_text import unescaped
 
 _TIME = re.compile(r'(?:start[_ ]?)?time\b\s*(?:[\[(](\w+)[\])])?', re.IGNORECASE)
 _DATA = ('data', 'value', 'decoded protocol result', 'hex')
 _DECODER = re.compile(r'uart|serial|\b[rt]x\b', re.IGNORECASE)
-_UNITS = {'s': NS, 'ms': 1_000_000, 'us': 1000, '\u00b5s': 1000, 'ns': 1}
+_UNITS = {'s': NS_PER_S, 'ms': NS_PER_MS, 'us': 1000, '\u00b5s': 1000, 'ns': 1}
 _NUMBER = re.compile(r'(?:0x)?([0-9a-f]{1,2}|\d{3})', re.IGNORECASE)
 _QUOTED = re.compile(r"'(.*)'")
 _CLOCK = re.compile(r'.*T(\d+):(\d+):(\d+(?:\.\d+)?).*')
@@ -45,7 +46,8 @@ def read_csv(text: str) -> ByteText | None:
         if one is None:
             unused[number] = rows[number - 2]
         else:
-            parts.append(TextBytes(one, time=_time(row[when], _UNITS.get(unit[1] or 's', NS))))
+            time = _time(row[when], _UNITS.get(unit[1] or 's', NS_PER_S))
+            parts.append(TextBytes(one, time=time))
     return ByteText(NAME, sorted(parts, key=lambda one: one.time or 0), unused)
 
 
@@ -74,7 +76,7 @@ def _time(text: str, unit: int) -> int | None:
     """Return a time in ns: a number, or a time of day as Logic 2 writes it on demand."""
     try:
         if clock := _CLOCK.fullmatch(text):
-            return int(((int(clock[1]) * 60 + int(clock[2])) * 60 + float(clock[3])) * NS)
+            return int(((int(clock[1]) * 60 + int(clock[2])) * 60 + float(clock[3])) * NS_PER_S)
         return int(float(text) * unit)
     except (ValueError, OverflowError):
         return None

@@ -8,19 +8,20 @@ what strace prints with other options than ours; CSV of a logic analyser is in b
 """
 from __future__ import annotations
 
-from collections.abc import Iterator
+from itertools import chain
 from itertools import islice
 import re
 from typing import NamedTuple
 
-from msg_defs.dxl_packet import body_crc
+from msg_defs.dxl1_packet import Dxl1Framer
+from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import HEADER
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
+from msg_defs.units import NS_PER_S
 
-NS = 1_000_000_000
-DAY_NS = 86_400 * NS
+DAY_NS = 86_400 * NS_PER_S
 EXACT_DIGITS = 6                   # decimals of a second: coarser times say nothing of a bus
 PACKET_MAX_BYTES, HEADERS_MAX = 1100, 10_000     # looked at for a right packet
 LINE_MIN_NUMBERS = 4               # among words: fewer may be words, or a date
@@ -99,12 +100,8 @@ def holds_packet(data: bytes) -> bool:
 
 def _is_packet(data: bytes) -> bool:
     if data.startswith(HEADER):
-        end = 7 + int.from_bytes(data[5:7], 'little')
-        packet = data[:end]
-        return 10 <= end == len(packet) and \
-            body_crc(packet[4:-2]) == int.from_bytes(packet[-2:], 'little')
-    packet = data[:4 + data[3]] if len(data) > 3 and data[2] != 0xFF else b''
-    return 6 <= len(packet) == 4 + packet[3] and sum(packet[2:]) & 0xFF == 0xFF
+        return Framer().is_whole(data)
+    return data[2:3] != b'\xff' and Dxl1Framer().is_whole(data)
 
 
 class _LineReader:
@@ -199,7 +196,7 @@ class _LineReader:
             return None
         hours, minutes, seconds, alone, part = found.groups()
         whole = int(alone) if alone else (int(hours) * 60 + int(minutes)) * 60 + int(seconds)
-        time = whole * NS + int(part.ljust(9, '0')) + self._days * DAY_NS
+        time = whole * NS_PER_S + int(part.ljust(9, '0')) + self._days * DAY_NS
         last = self.parts[-1].time if self.parts else None
         if hours and last is not None and last - time > DAY_NS // 2:       # midnight
             self._days += 1
@@ -225,17 +222,12 @@ def _side_in(text: str) -> str:
 def _bytes_in(line: str) -> tuple[bytes, int]:
     """Return the most bytes in a row that a line shows, and where they begin."""
     data, at, size = b'', len(line), len(line.strip())
-    for found in _runs(line):
+    for found in chain(_NUMBERS.finditer(line), _JOINED.finditer(line)):
         one = _values(found[0])
         is_all = len(found[0].strip()) == size
         if len(one) > len(data) and (is_all or len(one) >= LINE_MIN_NUMBERS):
             data, at = one, found.start()
     return data, at
-
-
-def _runs(line: str) -> Iterator[re.Match[str]]:
-    yield from _NUMBERS.finditer(line)
-    yield from _JOINED.finditer(line)
 
 
 def _values(numbers: str) -> bytes:

@@ -20,8 +20,8 @@ import stat
 import sys
 import threading
 
+from msg_defs.diagnostics import Level
 from msg_defs.event import Chunk
-from msg_defs.reports import Level
 from servobus.bus.report import BusReport
 from servobus.bus.report import DISCONNECTED
 from servobus.errors import ParameterError

@@ -34,11 +34,11 @@ from servobus.port.serial_port import Backoff
 from servobus.port.serial_port import open_port
 from servobus.port.serial_port import Port
 from servobus.sources import reader
-from servobus.sources.driver import latency_timer_ms
-from servobus.sources.driver import line_errors
-from servobus.sources.driver import set_low_latency
 from servobus.sources.reader_process import ReaderProcess
 from servobus.sources.reader_process import Record
+from servobus.sources.serial_driver import latency_timer_ms
+from servobus.sources.serial_driver import line_errors
+from servobus.sources.serial_driver import set_low_latency
 from servobus.sources.source_name import ways_to_hear
 
 ERRORS_EVERY_NS = 1_000_000_000

@@ -16,11 +16,11 @@ from zipfile import BadZipFile
 from zipfile import ZipFile
 import zlib
 
+from msg_defs.units import NS_PER_S
 from servobus.errors import UsageError
 from servobus.plain import printable
 from servobus.sources.byte_text import ByteText
 from servobus.sources.byte_text import holds_packet
-from servobus.sources.byte_text import NS
 from servobus.sources.byte_text import TextBytes
 
 SAMPLES_MAX_BYTES = 1 << 26
@@ -96,6 +96,6 @@ def _bytes(levels: bytes, rate: float, baud: int) -> Iterator[TextBytes]:
         elif middles[9]:
             value = sum(level << number for number, level in enumerate(middles[1:9]))
             at = int(start + 9.5 * bit)
-            yield TextBytes(bytes((value,)), time=int((start + 10 * bit) / rate * NS))
+            yield TextBytes(bytes((value,)), time=int((start + 10 * bit) / rate * NS_PER_S))
         elif (at := levels.find(_HIGH, start + int(9.5 * bit))) < 0:
             return

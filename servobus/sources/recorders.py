@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from msg_defs.diagnostics import Pairs
 from msg_defs.event import Chunk
-from msg_defs.reports import Pairs
 from servobus.sources.capture import Wire
 from servobus.sources.capture_recorder import Recorder
 from servobus.sources.flight_recorder import FlightRecorder

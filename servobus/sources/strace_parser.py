@@ -135,18 +135,18 @@ class StraceParser:
             found = _LINE.fullmatch(line)
             if found is None:
                 continue
-            number, second, part, seconds, nanoseconds = map(int, found.groups()[:5])
+            thread_id, second, part, seconds, nanoseconds = map(int, found.groups()[:5])
             self._now = self._now + seconds * 10**9 + nanoseconds if self._now \
                 else max(1, second * 10**9 + part + ahead)
-            yield from self._parse_text(number, found[6])
+            yield from self._parse_text(thread_id, found[6])
 
-    def _parse_text(self, number: int, text: bytes) -> PortEvents:
+    def _parse_text(self, thread_id: int, text: bytes) -> PortEvents:
         if text.startswith(b'+++'):
-            yield from self._end(number)
+            yield from self._end(thread_id)
             return
-        if number not in self._threads:
-            self._threads[number] = _TracedThread(self._process_of(number))
-        thread = self._threads[number]
+        if thread_id not in self._threads:
+            self._threads[thread_id] = _TracedThread(self._process_of(thread_id))
+        thread = self._threads[thread_id]
         is_resumed = text.startswith(b'<... ')
         if is_resumed:
             text = thread.unfinished + text.partition(b' resumed>')[2]
@@ -259,12 +259,12 @@ class StraceParser:
         arrived = ready if result and begin - ready <= AT_ONCE_NS else end
         return arrived - int(self._short_ns / 2)
 
-    def _end(self, number: int) -> PortEvents:
+    def _end(self, thread_id: int) -> PortEvents:
         """Forget a thread that ended; with the first of a process its ports are closed."""
-        thread = self._threads.pop(number, None)
-        if thread is None or thread.process == number:
+        thread = self._threads.pop(thread_id, None)
+        if thread is None or thread.process == thread_id:
             for port in self._ports.values():
-                yield from _release(port, {one for one in port.holders if one[0] == number},
+                yield from _release(port, {one for one in port.holders if one[0] == thread_id},
                                     self._now)
 
 

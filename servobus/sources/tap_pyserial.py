@@ -27,6 +27,7 @@ _MODULES = ('serial.serialposix', 'serial.serialwin32', 'serial.serialcli')
 _HANDLERS = 'serial.urlhandler.protocol_'
 ERROR_TEXT_LIMIT = 2000                        # characters
 AWAY_NS = 500_000                              # who looks as often does not sleep
+_NO_READERS: set[int] = set()      # for a Serial that we did not open; nothing is added
 _Method = Callable[..., Any]
 _Report = Callable[[Any, Any], object]          # called with a sender and a Serial
 
@@ -48,7 +49,7 @@ def _wrap_read(sender: Any, original: _Method) -> _Method:
     put, now, get_ident = sender.put, time.monotonic_ns, threading.get_ident
 
     def read(self: Any, *args: Any, **kwargs: Any) -> Any:
-        began, away, me, reading = now(), 0, get_ident(), set[int]()
+        began, away, me, reading = now(), 0, get_ident(), _NO_READERS
         try:
             state = self.__dict__[_STATE]
             reading = state.reading

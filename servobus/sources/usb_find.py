@@ -23,7 +23,7 @@ from servobus.sources.adapters import Adapter
 from servobus.sources.adapters import adapter_of
 from servobus.sources.adapters import FAMILIES
 from servobus.sources.adapters import UsbIdentity
-from servobus.sources.driver import SYS
+from servobus.sources.serial_driver import SYS
 from servobus.sources.usb_port import Place
 
 _SOCKET = re.compile(r'\d+-\d+(\.\d+)*')               # bus and the numbers of sockets: 1-1.2

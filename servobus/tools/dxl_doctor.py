@@ -55,7 +55,7 @@ from servobus.tools.doctor.issue_report import Maker
 from servobus.tools.doctor.issue_report import new_names
 from servobus.tools.doctor.issue_report import NOTHING
 from servobus.tools.doctor.issue_report import SavedReport
-from servobus.tools.doctor.program import Program
+from servobus.tools.doctor.program_source import Program
 from servobus.tools.doctor.verdict import as_json
 from servobus.tools.doctor.verdict import make_verdict
 from servobus.tools.doctor.verdict import Verdict

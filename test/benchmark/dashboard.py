@@ -21,7 +21,7 @@ from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.line import Line
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
-from msg_defs.reports import Level
+from msg_defs.diagnostics import Level
 from rigs.harness import Child
 from rigs.harness import Figure
 from rigs.harness import ros_environment

@@ -7,7 +7,7 @@ from __future__ import annotations
 from math import inf
 from operator import ne
 
-from msg_defs.reports import Level
+from msg_defs.diagnostics import Level
 from servobus.bus import evidence as ev
 from servobus.bus import report as words
 from servobus.bus.report import DeviceReport

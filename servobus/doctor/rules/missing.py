@@ -8,9 +8,9 @@ from dataclasses import replace
 from operator import ne
 from statistics import median
 
+from msg_defs.diagnostics import Level
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_packet import BROADCAST
-from msg_defs.reports import Level
 from msg_defs.units import NS_PER_MS
 from msg_defs.units import NS_PER_S
 from servobus.bus import evidence as ev

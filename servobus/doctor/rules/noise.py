@@ -9,6 +9,7 @@ from functools import lru_cache
 from itertools import takewhile
 import re
 
+from msg_defs.diagnostics import Level
 from msg_defs.dxl1_instruction import DIALECTS
 from msg_defs.dxl1_instruction import FEETECH
 from msg_defs.dxl1_instruction import UNDECIDED
@@ -19,7 +20,6 @@ from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_instruction import NAMES
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import HEADER
-from msg_defs.reports import Level
 from msg_defs.uart import byte_ns
 from msg_defs.uart import heard_at
 from msg_defs.units import NS_PER_S

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from itertools import pairwise
 from operator import itemgetter
 
+from msg_defs.diagnostics import Level
 from msg_defs.dxl1_instruction import DYNAMIXEL_1
 from msg_defs.dxl1_instruction import FEETECH
 from msg_defs.dxl1_instruction import UNDECIDED
@@ -17,7 +18,6 @@ from msg_defs.dxl_instruction import error_text
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_packet import BROADCAST
-from msg_defs.reports import Level
 from msg_defs.units import NS_PER_S
 from servobus.bus import evidence as ev
 from servobus.bus.report import BusReport

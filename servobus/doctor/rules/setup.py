@@ -6,9 +6,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from msg_defs.diagnostics import Level
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import name_of
-from msg_defs.reports import Level
 from servobus.bus import evidence as ev
 from servobus.bus.report import DeviceReport
 from servobus.doctor.case import Case

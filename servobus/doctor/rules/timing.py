@@ -17,9 +17,9 @@ from math import inf
 from operator import attrgetter
 from statistics import median
 
+from msg_defs.diagnostics import Level
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import name_of
-from msg_defs.reports import Level
 from msg_defs.uart import byte_ns
 from msg_defs.units import NS_PER_MS
 from msg_defs.units import NS_PER_S

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import textwrap
 from typing import NamedTuple
 
-from msg_defs.reports import Level
+from msg_defs.diagnostics import Level
 from servobus.tools.cli import WIDTH_MAX
 from servobus.tools.doctor.verdict import OpenPoint
 from servobus.tools.doctor.verdict import Trouble

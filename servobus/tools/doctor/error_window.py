@@ -12,8 +12,8 @@ from collections import deque
 from collections.abc import Mapping
 import io
 
+from msg_defs.diagnostics import Level
 from msg_defs.event import Chunk
-from msg_defs.reports import Level
 from servobus.bus.report import BusReport
 from servobus.sources.capture import Moment
 from servobus.sources.capture import Wire

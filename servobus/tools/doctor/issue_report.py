@@ -28,8 +28,8 @@ from typing import NamedTuple
 import zipfile
 import zlib
 
+from msg_defs.diagnostics import Level
 from msg_defs.event import Chunk
-from msg_defs.reports import Level
 from servobus.doctor.finding_log import BusSummary
 from servobus.errors import UsageError
 from servobus.plain import printable

@@ -13,7 +13,7 @@ import shlex
 from servobus.port.preflight import ports_here
 from servobus.port.preflight import warnings
 from servobus.port.preflight import why_not
-from servobus.tools.doctor.program import Ending
+from servobus.tools.doctor.program_source import Ending
 
 _IMPORT_ERRORS = ('ModuleNotFoundError', 'ImportError')
 _OURS = ('dxl_doctor', 'dxl_dump')

@@ -16,7 +16,7 @@ import os
 from typing import Any
 from typing import NamedTuple
 
-from msg_defs.reports import Level
+from msg_defs.diagnostics import Level
 from servobus.bus.report import CONNECTED
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import MOVED

@@ -16,11 +16,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from msg_defs.diagnostics import Joint
+from msg_defs.diagnostics import metric_status
+from msg_defs.diagnostics import Status
+from msg_defs.diagnostics import topic_names
 from msg_defs.event import Chunk
-from msg_defs.reports import Joint
-from msg_defs.reports import metric_status
-from msg_defs.reports import Status
-from msg_defs.reports import topic_names
 from servobus.bus.report import BusReport
 from servobus.errors import UsageError
 from servobus.monitor import Monitor

@@ -15,6 +15,7 @@ import os
 import sys
 from typing import BinaryIO
 
+from msg_defs.diagnostics import Level
 from msg_defs.event import AWAY
 from msg_defs.event import BAUD
 from msg_defs.event import BUSY
@@ -26,7 +27,6 @@ from msg_defs.event import GONE
 from msg_defs.event import LOST
 from msg_defs.event import TRACED
 from msg_defs.event import UNREAD
-from msg_defs.reports import Level
 from msg_defs.uart import byte_ns
 from servobus.bus.report import Finding
 from servobus.errors import UsageError

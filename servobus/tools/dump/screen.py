@@ -8,7 +8,7 @@ import shutil
 import sys
 from typing import TextIO
 
-from msg_defs.reports import Level
+from msg_defs.diagnostics import Level
 from servobus.bus.report import BusReport
 from servobus.bus.report import PROTOCOL_2
 from servobus.plain import on_screen

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import textwrap
 from typing import Any
 
+from msg_defs.diagnostics import Level
 from msg_defs.dxl_instruction import name_of
-from msg_defs.reports import Level
 from msg_defs.uart import byte_ns
 from servobus.bus.report import BusReport
 from servobus.bus.report import DeviceReport

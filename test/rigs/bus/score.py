@@ -12,7 +12,7 @@ from itertools import groupby
 from operator import itemgetter
 from typing import NamedTuple
 
-from msg_defs.reports import Level
+from msg_defs.diagnostics import Level
 from rigs.bus.scene import Key
 from rigs.bus.scene import SECONDS
 from rigs.bus.scenes import BROKEN

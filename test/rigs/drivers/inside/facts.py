@@ -13,8 +13,8 @@ import time
 
 from servobus.port.port_error import PortError
 from servobus.port.serial_port import open_port
-from servobus.sources.driver import line_errors
-from servobus.sources.driver import set_low_latency
+from servobus.sources.serial_driver import line_errors
+from servobus.sources.serial_driver import set_low_latency
 
 BAUD = 115_200
 WRITTEN = 2000

@@ -13,7 +13,7 @@ _PERIOD_S = 5.0
 _EXPECTED = 20
 
 
-class DeviceLines:
+class DeviceWatch:
     """Shows the table every few seconds and each change of a device's state at once."""
 
     def __init__(self, state: State) -> None:

@@ -14,7 +14,7 @@ from contextlib import suppress
 import os
 from pathlib import Path
 
-from msg_defs.reports import Pairs
+from msg_defs.diagnostics import Pairs
 from servobus.bus.report import LineErrors
 from servobus.port.port_users import file_text
 from servobus.port.port_users import tty_of

@@ -9,16 +9,16 @@ from pathlib import Path
 import pytest
 import yaml
 
-from msg_defs.reports import hardware_id
-from msg_defs.reports import headline
-from msg_defs.reports import Level
-from msg_defs.reports import Metric
-from msg_defs.reports import metric_status
-from msg_defs.reports import number
-from msg_defs.reports import pairs
-from msg_defs.reports import status_name
-from msg_defs.reports import topic_names
-from msg_defs.reports import worst
+from msg_defs.diagnostics import hardware_id
+from msg_defs.diagnostics import headline
+from msg_defs.diagnostics import Level
+from msg_defs.diagnostics import Metric
+from msg_defs.diagnostics import metric_status
+from msg_defs.diagnostics import number
+from msg_defs.diagnostics import pairs
+from msg_defs.diagnostics import status_name
+from msg_defs.diagnostics import topic_names
+from msg_defs.diagnostics import worst
 from msg_defs.timing import Series
 
 ROWS = yaml.safe_load(

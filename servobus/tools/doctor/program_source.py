@@ -23,10 +23,10 @@ import time
 from typing import Any
 from typing import NamedTuple
 
+from msg_defs.diagnostics import Level
 from msg_defs.event import Chunk
 from msg_defs.event import CLOSED
 from msg_defs.event import IN
-from msg_defs.reports import Level
 from servobus.bus.report import FAILED
 from servobus.bus.report import OWN
 from servobus.bus.report import RAISED
