@@ -11,6 +11,7 @@ given here by mistake.
 from __future__ import annotations
 
 import codecs
+from collections.abc import Sequence
 from io import BufferedReader
 from io import RawIOBase
 import os
@@ -47,8 +48,8 @@ _HEARS = {
     'servobus': "dxl_tap arm -- {}, and servobus.listen('tap:arm')",
     'dxl_doctor': 'dxl_doctor run -- {}',
     'dxl_dashboard': 'dxl_dashboard run -- {}',
-    'mecarover_status': 'dxl_tap arm -- {}, and mecarover_status tap:arm in another terminal',
-    'dxl_dump': 'dxl_tap arm -- {}, and dxl_dump tap:arm in another terminal',
+    'mecarover_status': 'dxl_tap arm -- {}, and mecarover_status tap:arm{} in another terminal',
+    'dxl_dump': 'dxl_tap arm -- {}, and dxl_dump tap:arm{} in another terminal',
     'dxl_replay': 'dxl_tap arm -- {}, and dxl_dump tap:arm -w bus.txt in another terminal, to '
                   'play bus.txt',
 }
@@ -100,9 +101,10 @@ def is_port(name: str) -> bool:
     return stat.S_ISCHR(mode)
 
 
-def how_to_hear(tool: str, command: str) -> str:
-    """Return what a user of `tool` types to hear the program that `command` starts."""
-    return _HEARS[tool].format(command)
+def how_to_hear(tool: str, command: str, options: Sequence[str] = ()) -> str:
+    """Return what a user of `tool` types, with its options, to hear what `command` starts."""
+    words = ''.join(f' {shlex.quote(option)}' for option in options)
+    return _HEARS.get(tool, _HEARS['servobus']).format(command, words)
 
 
 def _file(name: str, file: BufferedReader, baud: int | None, adapter: str | None,
