@@ -23,9 +23,9 @@ from msg_defs.diagnostics import Level
 from servobus.examination import Examination
 from servobus.examination import LONGEST_PAUSE_NS
 from servobus.examination import REPORT_NS
+from servobus.sources import silence
 from servobus.sources.opening import open_file
 from servobus.sources.source import File
-from servobus.tools.doctor import no_data
 from servobus.tools.doctor.verdict import make_verdict
 from servobus.tools.doctor.verdict import Verdict
 
@@ -152,5 +152,5 @@ class RecordingRun(SourceRun):
         self._file.close()
         heard = self._survey
         if heard is None or not heard.bytes:
-            return self._verdict(lambda: no_data.of_file(self.words))
+            return self._verdict(lambda: silence.of_file(self.words))
         return make_verdict(self.words, heard.buses(self.is_timed), heard.seconds, self.is_timed)

@@ -25,6 +25,7 @@ from servobus.monitored_bus import MonitoredBus
 from servobus.plain import printable
 from servobus.settings import buses
 from servobus.settings import settings_of
+from servobus.sources import silence
 from servobus.sources.capture import Wire
 from servobus.sources.recorders import Recorders
 from servobus.sources.source_name import rate_of
@@ -140,7 +141,7 @@ class PortsRun(SourceRun):
         for bus in self._ports:
             bus.listener.stop()
         return self._verdict(
-            lambda: closed or no_data.reasons(self._options.source[0], is_live=True))
+            lambda: closed or silence.reasons(self._options.source[0], is_live=True))
 
 
 class ProgramRun(SourceRun):

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from servobus.bus.report import BusReport
     from servobus.bus.report import DeviceReport
     from servobus.bus.report import Finding
+    from servobus.errors import ClosedError
+    from servobus.errors import NothingHeardError
     from servobus.errors import ParameterError
     from servobus.errors import ServobusError
     from servobus.errors import UsageError
@@ -35,6 +37,7 @@ _HOMES = {
     'BusReport': 'servobus.bus.report',
     'Change': 'msg_defs.event',
     'Chunk': 'msg_defs.event',
+    'ClosedError': 'servobus.errors',
     'DeviceReport': 'servobus.bus.report',
     'Expected': 'servobus.bus.expected',
     'Finding': 'servobus.bus.report',
@@ -43,6 +46,7 @@ _HOMES = {
     'ModelError': 'servobus.model.checked_yaml',
     'Models': 'servobus.model.models',
     'Monitor': 'servobus.monitor',
+    'NothingHeardError': 'servobus.errors',
     'ParameterError': 'servobus.errors',
     'PortError': 'servobus.port.port_error',
     'ServobusError': 'servobus.errors',
@@ -54,9 +58,10 @@ _HOMES = {
     'report_data': 'servobus.plain_data',
 }
 __all__ = [
-    'BusReport', 'Change', 'Chunk', 'DeviceReport', 'Expected', 'Finding', 'Level', 'Listening',
-    'ModelError', 'Models', 'Monitor', 'ParameterError', 'PortError', 'ServobusError', 'Settings',
-    'UsageError', 'listen', 'open_source', 'parse_all', 'report_data']
+    'BusReport', 'Change', 'Chunk', 'ClosedError', 'DeviceReport', 'Expected', 'Finding', 'Level',
+    'Listening', 'ModelError', 'Models', 'Monitor', 'NothingHeardError', 'ParameterError',
+    'PortError', 'ServobusError', 'Settings', 'UsageError', 'listen', 'open_source', 'parse_all',
+    'report_data']
 
 
 def __getattr__(name: str) -> object:

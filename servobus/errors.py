@@ -18,6 +18,14 @@ class UsageError(ServobusError):
     """A command line, or a source of bytes, that makes no sense."""
 
 
+class NothingHeardError(ServobusError):
+    """A source that was listened to, and that gave no byte."""
+
+
+class ClosedError(ServobusError):
+    """A source that is used after the end of its block."""
+
+
 def did_you_mean(name: str, names: Collection[str]) -> str:
     """Return the remedy for a name that is none of `names`: the nearest of them, or all."""
     near = nearest(name, names)

@@ -35,11 +35,14 @@ from servobus.bus.report import Finding
 from servobus.bus.report import RAISED
 from servobus.bus.report import SERVO_LIBRARIES
 from servobus.doctor.case import ARGUMENTS
+from servobus.errors import ClosedError
+from servobus.errors import NothingHeardError
 from servobus.errors import ParameterError
 from servobus.errors import UsageError
 from servobus.examination import Examination
 from servobus.model.models import Models
 from servobus.settings import check_models
+from servobus.sources import silence
 from servobus.sources import tap_pyserial
 from servobus.sources.capture import Wire
 from servobus.sources.opening import open_source
@@ -70,7 +73,8 @@ def listen(port: Any, *, baud: int | None = None, devices: Sequence[str] = (),
     recording), which is heard by run(). baud: bit/s; None: that of the port, or what the source
     says. devices: what is on the bus, as '1-6:STS3215'. protocol: 'auto', '2', '1', 'feetech'.
     on_finding: called with each finding of WARN or above when it begins; what it raises is raised
-    at the end of the block. Raises ParameterError, UsageError, PortError or OSError.
+    at the end of the block. Raises ParameterError, UsageError, PortError or OSError; at the end
+    of the block NothingHeardError, if run() heard no byte.
     """
     models = models or Models()
     if isinstance(devices, str) or not all(isinstance(one, str) for one in devices):
@@ -80,10 +84,12 @@ def listen(port: Any, *, baud: int | None = None, devices: Sequence[str] = (),
         raise ParameterError(f'protocol: {protocol!r} is none; use one of {", ".join(PROTOCOLS)}')
     if baud is not None and not (isinstance(baud, int) and baud > 0):
         raise ParameterError(f'baud: {baud!r} is no baud rate; give bit/s, or leave it out')
+    if not (on_finding is None or callable(on_finding)):
+        raise ParameterError(f'on_finding: {on_finding!r} cannot be called; give a function')
     calls = _FindingCalls(on_finding)
     examination = Examination(models, devices, protocol, [calls], ARGUMENTS)
     if isinstance(port, str):
-        return SourceListening(examination, calls, open_source('servobus', port, baud))
+        return SourceListening(examination, calls, port, open_source('servobus', port, baud))
     if not all(hasattr(port, name) for name in ('read', 'write', 'baudrate', 'is_open')):
         raise UsageError(f'{type(port).__name__}: not a port of pyserial; give an open '
                          'serial.Serial, or the name of a source')
@@ -142,23 +148,56 @@ class Listening:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
                  trace: TracebackType | None) -> None:
         self._stack.__exit__(kind, error, trace)
-        if self._calls.mistake is not None and kind is None:
-            raise self._calls.mistake
+        mistake = self._calls.mistake or self._why_unheard()
+        if mistake is not None and error is None:
+            raise mistake
+        if mistake is not None and error is not None:
+            _begin_with(mistake, error)
+
+    def _why_unheard(self) -> Exception | None:
+        """Return an error where nothing was heard and something should have been."""
+        return None
+
+
+def _begin_with(first: BaseException, error: BaseException) -> None:
+    """Let the traceback of an error begin with another one."""
+    chain = [error]
+    while (before := _shown_before(chain[-1])) and before not in chain:
+        chain.append(before)
+    if first in chain:
+        return
+    one = first                                # where it was raised while that was handled
+    while one.__context__ is not None and one.__context__ not in chain:
+        one = one.__context__
+    one.__context__ = None                     # a circle would have no end
+    chain[-1].__context__, chain[-1].__suppress_context__ = first, False
+
+
+def _shown_before(error: BaseException) -> BaseException | None:
+    """Return the error that a traceback shows before this one."""
+    return error.__cause__ or (None if error.__suppress_context__ else error.__context__)
 
 
 class SourceListening(Listening):
     """What comes from a source: a tap, a port of its own, or a recording."""
 
-    def __init__(self, examination: Examination, calls: _FindingCalls, source: Source) -> None:
+    def __init__(self, examination: Examination, calls: _FindingCalls, name: str,
+                 source: Source) -> None:
         super().__init__(examination, calls)
+        self._name = name
         self._source = source
-        self._stack.callback(source.close)
+        self._has_run = self._is_closed = False
+        self._stack.callback(self._close)
 
     def __enter__(self) -> SourceListening:
         return self
 
     def run(self, seconds: float | None = None) -> None:
         """Decode a recording to its end, or what a live source says for so long (None: ever)."""
+        if self._is_closed:
+            raise ClosedError(f'{self._name}: closed at the end of the with block; call run() '
+                              'inside of it')
+        self._has_run = True
         until = None if seconds is None else time.monotonic() + seconds
         is_over = True
         for chunk in self._source.chunks():
@@ -174,6 +213,16 @@ class SourceListening(Listening):
             now = time.monotonic_ns() if self._source.is_live else \
                 max(self._source.ended, self._examination.last)
             self._examination.finish(now, is_over)
+
+    def _close(self) -> None:
+        self._source.close()
+        self._is_closed = True
+
+    def _why_unheard(self) -> NothingHeardError | None:
+        if self._examination.bytes or not self._has_run:
+            return None
+        why = [*self._source.problems(), *silence.reasons(self._name, self._source.is_live)]
+        return NothingHeardError(f'{self._name}: nothing was heard. {" ".join(why)}')
 
 
 class PortListening(Listening):

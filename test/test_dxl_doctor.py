@@ -44,13 +44,13 @@ from servobus.doctor import RULES
 from servobus.examination import Examination
 from servobus.model.models import Models
 from servobus.port.pty import Pty
+from servobus.sources import silence
 from servobus.sources.capture import Moment
 from servobus.sources.capture import Reader
 from servobus.sources.capture import Wire
 from servobus.sources.capture import Writer
 from servobus.tools.doctor import explain
 from servobus.tools.doctor import issue_report
-from servobus.tools.doctor import no_data
 from servobus.tools.doctor.answer_screen import screen
 from servobus.tools.doctor.error_window import ErrorWindow
 from servobus.tools.doctor.program_source import Ending
@@ -88,7 +88,7 @@ def said(chunks, devices=DEVICES, is_timed=True, wire=WIRE):
     for chunk in chunks:
         examination.feed_chunk(chunk, wire)
     examination.finish(examination.last, is_over=True)
-    why = [] if examination.bytes else no_data.of_file('bus.txt')
+    why = [] if examination.bytes else silence.of_file('bus.txt')
     return make_verdict('bus.txt', examination.buses(is_timed), examination.seconds, is_timed, why)
 
 

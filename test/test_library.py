@@ -2,11 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """servobus as a library: in a robot's own program, on a recording, in a test (docs/library.md)."""
 import ast
+from contextlib import ExitStack
 import json
 from pathlib import Path
 import re
 import subprocess
 import sys
+import traceback
+from types import SimpleNamespace
 
 import pytest
 import serial
@@ -83,8 +86,82 @@ def test_a_mistake_of_the_program_is_raised_at_the_end_of_the_block_not_in_a_rea
             servobus.listen(port, devices=['1-3:XL430-W250'], on_finding=lambda _: 1 / 0):
         for _ in range(20):
             ask(port, 1, 2, 3)
-    with pytest.raises(KeyError), serial.serial_for_url('loop://') as port, servobus.listen(port):
-        raise KeyError('what the block raises comes first')
+
+
+@pytest.mark.realtime(bears=0.02)
+@pytest.mark.parametrize('was_handling', [False, True])
+def test_what_the_block_raises_comes_first_and_shows_the_other_mistake_too(servo_bus,
+                                                                            was_handling):
+    bus = servo_bus('1-3:XL430-W250', faults=['silent:2:0'])
+    with serial.Serial(bus.path, 1_000_000, timeout=0.2) as port, \
+            pytest.raises(ConnectionError) as caught, \
+            servobus.listen(port, devices=['1-3:XL430-W250'], on_finding=lambda _: 1 / 0):
+        try:
+            if was_handling:
+                raise ConnectionError('lost')
+        finally:
+            for _ in range(20):
+                ask(port, 1, 2, 3)
+        raise ConnectionError('lost') from OSError('unplugged')
+    shown = ''.join(traceback.format_exception(caught.type, caught.value, None))
+    assert shown.index('ZeroDivisionError') < shown.index('ConnectionError: lost')
+    assert was_handling or shown.index('ZeroDivisionError') < shown.index('OSError: unplugged')
+
+
+@pytest.mark.parametrize('live', [True, False])
+def test_a_source_that_gave_no_byte_does_not_look_healthy(tmp_path, live):
+    (tmp_path / 'empty.bin').touch()
+    name, words = ('tap:none', 'tap:none: nothing was heard. No program sent anything: start it '
+                   'with dxl_tap none -- COMMAND') if live else (
+        f'{tmp_path}/empty.bin', 'empty.bin holds no byte of a bus')
+    with pytest.raises(servobus.NothingHeardError, match=words), servobus.listen(name) as bus:
+        bus.run(seconds=0.2)
+    with pytest.raises(ValueError, match='0 reports') as caught, servobus.listen(name) as bus:
+        bus.run(seconds=0.2)
+        raise ValueError(f'{len(bus.reports())} reports')
+    assert isinstance(caught.value.__context__, servobus.NothingHeardError)
+    with servobus.listen(name):
+        pass                                   # nothing was asked
+
+
+@pytest.mark.parametrize('name', ['loop://', 'run.txt'])
+def test_after_its_block_a_source_says_that_it_is_closed(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    capture(tmp_path / 'run.txt')
+    with servobus.listen(name) as bus:
+        pass
+    with pytest.raises(servobus.ClosedError, match=f'{name}: closed at the end of the with block'):
+        bus.run(seconds=0.1)
+
+
+@pytest.mark.realtime(bears=0.02)
+def test_a_port_that_the_program_opens_again_is_heard_on(servo_bus):
+    bus, other = servo_bus('1-3:XL430-W250'), servo_bus('7:XL430-W250')
+    path = bus.path
+    before = serial.Serial.open
+    with serial.Serial(path, 1_000_000, timeout=0.2) as first, \
+            serial.Serial(other.path, 1_000_000, timeout=0.2) as second, ExitStack() as stack:
+        heard_second = stack.enter_context(servobus.listen(second))
+        with servobus.listen(first) as heard:
+            ask(first, 1)
+            with serial.Serial(path, 1_000_000, timeout=0.2):
+                pass                           # the first one is still open
+            first.close()
+            with serial.Serial(path, 1_000_000, timeout=0.2) as again:
+                ask(again, 2)
+            first.open()
+            ask(first, 3)
+            stack.close()                      # this block is over before the later one
+            first.close()
+            with serial.Serial(path, 1_000_000, timeout=0.2) as again:
+                ask(again, 1)
+        with serial.Serial(path, 1_000_000, timeout=0.2) as last:
+            assert type(last) is type(again) is type(first) is serial.Serial
+            ask(last, 1)
+    assert serial.Serial.open is before
+    [report] = heard.reports()
+    assert [(one.id, one.totals.answers) for one in report.devices] == [(1, 2), (2, 1), (3, 1)]
+    assert not any(one.devices for one in heard_second.reports())
 
 
 @pytest.mark.realtime(bears=0.02)
@@ -108,6 +185,7 @@ def test_a_servo_on_which_the_program_ends_is_named_after_one_question(servo_bus
     ('loop://', {'devices': '1-6:STS3215'}, 'is no list of texts'),
     ('loop://', {'protocol': '3'}, 'protocol: .3. is none; use one of auto'),
     ('loop://', {'baud': -5}, 'baud: -5 is no baud rate'),
+    ('loop://', {'on_finding': 3}, 'on_finding: 3 cannot be called; give a function'),
     (__file__, {}, 'dxl_tap arm -- '),
 ])
 def test_what_cannot_be_is_one_line(port, options, words):
@@ -116,7 +194,7 @@ def test_what_cannot_be_is_one_line(port, options, words):
 
 
 def test_the_example_of_a_recording_prints_plain_data(tmp_path, monkeypatch, capsys):
-    [example] = [one for one in EXAMPLES if "'run.txt'" in one]
+    [example] = [one for one in EXAMPLES if "listen('run.txt')" in one]
     capture(tmp_path / 'run.txt', 'silent:3:0')
     monkeypatch.chdir(tmp_path)
     exec(example)
@@ -124,11 +202,16 @@ def test_the_example_of_a_recording_prints_plain_data(tmp_path, monkeypatch, cap
     assert [one['rule'] for one in found['findings']] == ['no_answer']
 
 
-def test_the_example_of_a_monitor_reports_what_was_fed():
-    [example] = [one for one in EXAMPLES if 'monitor.feed' in one]
+def test_the_examples_of_a_monitor_report_what_was_fed(tmp_path, monkeypatch):
+    first, second = (one for one in EXAMPLES if 'monitor.feed' in one)
     names = {'servobus': servobus}
-    exec(example, names)
-    assert [one.id for one in names['report'].devices] == [1]
+    exec(first, names)
+    assert [(one.id, one.model_name) for one in names['report'].devices] == [(1, 'XL430-W250')]
+    capture(tmp_path / 'run.txt', 'silent:3:0')
+    monkeypatch.chdir(tmp_path)
+    exec(second, names)
+    report = names['monitor'].report(names['source'].ended)
+    assert ('no_answer', 3) in [(one.rule, one.device) for one in report.findings]
 
 
 def test_the_example_around_a_port_hears_it(servo_bus):
@@ -139,6 +222,16 @@ def test_the_example_around_a_port_hears_it(servo_bus):
         '    ... ', "    port.write(bytes.fromhex('ffff01040238 02be')); port.read(8)"), names)
     [report] = names['bus'].reports()
     assert [(one.id, one.totals.answers) for one in report.devices if one.totals.asked] == [(1, 1)]
+
+
+@pytest.mark.realtime(bears=0.02)
+def test_the_example_of_a_finding_that_a_test_expects(servo_bus):
+    [example] = [one for one in EXAMPLES if 'my_arm.read_joints' in one]
+    bus = servo_bus('1-6:XL430-W250', faults=['silent:2:0'])
+    with serial.Serial(bus.path, 1_000_000, timeout=0.2) as port:
+        names = {'servobus': servobus, 'port': port, 'my_arm': SimpleNamespace(
+            read_joints=lambda: [ask(port, 1, 2) for _ in range(6)])}
+        exec(example.replace('STS3215', 'XL430-W250'), names)
 
 
 @pytest.mark.realtime(bears=0.02)

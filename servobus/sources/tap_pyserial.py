@@ -19,6 +19,7 @@ import sys
 import threading
 import time
 from typing import Any
+from weakref import WeakSet
 
 _STATE = '_mecarover_tap'                      # attribute of an open Serial
 _OTHERS = ('rustypot', 'reachy_mini_motor_controller')       # they open ports by themselves
@@ -30,6 +31,8 @@ AWAY_NS = 500_000                              # who looks as often does not sle
 _NO_READERS: set[int] = set()      # for a Serial that we did not open; nothing is added
 _Method = Callable[..., Any]
 _Report = Callable[[Any, Any], object]          # called with a sender and a Serial
+# Classes of ports with their own open(), and who is called after it.
+_WATCHED: dict[Any, tuple[_Method, list[Callable[[Any], object]]]] = {}
 
 
 class _OpenSerial:
@@ -241,18 +244,56 @@ def wrap_classes(sender: Any, module: Any) -> None:
 
 @contextmanager
 def tapped(port: Any, sender: Any) -> Iterator[None]:
-    """Report what passes one open port; meanwhile its class is one that does so."""
+    """
+    Report what passes one open port; meanwhile its class is one that does so.
+
+    A program that connects again makes a new Serial: that is heard in place of a closed one.
+    """
     kind = type(port)
     found = {name: one for base in reversed(kind.__mro__) for name, one in vars(base).items()}
     own = {name: wrap(sender, found[name]) for name, wrap in _WRAPPERS.items() if name in found}
-    _begin(sender, port, port.baudrate)
-    port.__class__ = type(kind.__name__, (kind,), own)
+    reporting = type(kind.__name__, (kind,), own)
+    ports = WeakSet[Any]()
+
+    def begin(serial: Any) -> None:
+        ports.add(serial)
+        _begin(sender, serial, serial.baudrate)
+        serial.__class__ = reporting
+
+    def take_place(serial: Any) -> None:
+        if type(serial) is kind and serial.port == port.port and not any(
+                one.is_open for one in ports):
+            begin(serial)
+
+    begin(port)
+    try:
+        with _opens_watched(kind, take_place):
+            yield
+    finally:
+        for one in [*ports]:
+            _report_unread(sender, one)
+            one.__class__ = kind
+            one.__dict__.pop(_STATE, None)
+
+
+@contextmanager
+def _opens_watched(kind: Any, watch: Callable[[Any], object]) -> Iterator[None]:
+    """Call `watch` with each port of a class that was opened; others may watch it as well."""
+    kind = next(one for one in kind.__mro__ if 'open' in vars(one))
+    if kind not in _WATCHED:
+        watches: list[Callable[[Any], object]] = []
+        _WATCHED[kind] = kind.open, watches
+        kind.open = _wrap_around(lambda _, serial: [one(serial) for one in [*watches]])(
+            None, kind.open)
+    original, watches = _WATCHED[kind]
+    watches.append(watch)
     try:
         yield
     finally:
-        _report_unread(sender, port)
-        port.__class__ = kind
-        port.__dict__.pop(_STATE, None)
+        watches.remove(watch)
+        if not watches:
+            kind.open = original
+            del _WATCHED[kind]
 
 
 class _PatchingLoader:

@@ -29,6 +29,7 @@ from servobus.plain import on_screen
 from servobus.plain import plain
 from servobus.plain import printable
 from servobus.port.port_error import PortError
+from servobus.sources import silence
 from servobus.sources.capture import Wire
 from servobus.sources.flight_recorder import FlightRecorder
 from servobus.sources.opening import open_source
@@ -216,7 +217,7 @@ class _DoctorRun:
         is_quiet = not self._examination.bytes
         if program is None:
             name = self._options.source
-            verdict = make_verdict(name, buses, seconds, source.is_timed, no_data.reasons(
+            verdict = make_verdict(name, buses, seconds, source.is_timed, silence.reasons(
                 name, source.is_live) if is_quiet else ())
             more = {}
         else:

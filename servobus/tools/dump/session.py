@@ -25,8 +25,8 @@ from servobus.plain import on_screen
 from servobus.plain import printable
 from servobus.settings import settings_of
 from servobus.sources.opening import open_source
+from servobus.sources.silence import reasons
 from servobus.tools.cli import print_problems
-from servobus.tools.doctor.no_data import reasons
 from servobus.tools.dump.decode import identity_of
 from servobus.tools.dump.decode import parts_of
 from servobus.tools.dump.filter import is_wanted
