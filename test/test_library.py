@@ -176,6 +176,22 @@ def test_a_servo_on_which_the_program_ends_is_named_after_one_question(servo_bus
             if one.level > servobus.Level.OK] == [('no_answer', 2)]
 
 
+def test_what_is_like_a_port_needs_no_open():
+    class Double:
+        port, baudrate, is_open, in_waiting = 'double', 1_000_000, True, 0
+
+        def read(self, size=1):
+            return bytes(size)
+
+        def write(self, data):
+            return len(data)
+
+    double = Double()
+    with servobus.listen(double) as heard:
+        double.write(encode(1, Instruction.PING))
+    assert heard.reports()[0].counters['Packets'] == 1
+
+
 @pytest.mark.parametrize(('port', 'options', 'words'), [
     (42, {}, 'int: not a port of pyserial'),
     (serial.Serial(), {}, 'this port is not open'),

@@ -12,6 +12,7 @@ import atexit
 from collections.abc import Callable
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextlib import nullcontext
 from contextlib import suppress
 import json
 import os
@@ -267,7 +268,7 @@ def tapped(port: Any, sender: Any) -> Iterator[None]:
 
     begin(port)
     try:
-        with _opens_watched(kind, take_place):
+        with _opens_watched(kind, take_place) if 'open' in found else nullcontext():
             yield
     finally:
         for one in [*ports]:
