@@ -149,9 +149,9 @@ class Listening:
                  trace: TracebackType | None) -> None:
         self._stack.__exit__(kind, error, trace)
         mistake = self._calls.mistake or self._why_unheard()
-        if mistake is not None and error is None:
-            raise mistake
-        if mistake is not None and error is not None:
+        if mistake is not None:
+            if error is None:
+                raise mistake
             _begin_with(mistake, error)
 
     def _why_unheard(self) -> Exception | None:

@@ -42,31 +42,17 @@ def refuse_run_word(parser: argparse.ArgumentParser, where: str, arguments: Sequ
     options, left = parser.parse_known_args(arguments)
     if getattr(options, where) != RUN or (not left and os.path.exists(RUN)):
         return                                  # a file may have that name
-    own, command = _parted(parser, where, arguments)
+    own, command = _parted(arguments, left)
     raise UsageError(f'{RUN}: {parser.prog} starts no program; write: ' + how_to_hear(
         parser.prog, shlex.join(with_python(command or _ANY)), own))
 
 
-def _parted(parser: argparse.ArgumentParser, where: str,
-            arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return the options of the tool without `run`, and the command after it."""
-    at = arguments.index('--') if '--' in arguments else next(
-        (at for at in range(arguments.index(RUN) + 1, len(arguments))
-         if _begins_command(parser, where, arguments[:at + 1])), len(arguments))
-    own = list(arguments[:at])
-    own.remove(RUN)
-    return own, list(arguments[at + ('--' in arguments):])
-
-
-def _begins_command(parser: argparse.ArgumentParser, where: str,
-                    arguments: Sequence[str]) -> bool:
-    """Tell whether the last of the arguments is no option of the tool, and no value of one."""
-    try:
-        options, left = parser.parse_known_args(arguments)
-    except UsageError:                         # its value is still missing
-        return False
-    found = getattr(options, where)
-    return bool(left) or (isinstance(found, list) and len(found) > 1)
+def _parted(arguments: Sequence[str], words: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return the options of the tool, and the command after `run`; words: no options of it."""
+    at = arguments.index(RUN)
+    own, rest = list(arguments[:at]), list(arguments[at + 1:])
+    at = next((rest.index(word) for word in ('--', *words) if word in rest), len(rest))
+    return own + rest[:at], rest[at + ('--' in rest):]
 
 
 def parse_run(parser: argparse.ArgumentParser,
@@ -77,7 +63,7 @@ def parse_run(parser: argparse.ArgumentParser,
     sources = options.source if isinstance(options.source, list) else [options.source]
     first = next(iter(sources), None)
     if first == RUN and mark == len(arguments) and (left or sources[1:]):
-        own, command = _parted(parser, 'source', arguments)
+        own, command = _parted(arguments, left or sources[1:])
         raise UsageError(f'{RUN}: -- is missing in front of the program; write {parser.prog} '
                          + shlex.join([*own, RUN, '--', *with_python(command)]))
     if left and first and mark == len(arguments) and shutil.which(first):
