@@ -18,7 +18,7 @@ static vel2d_receiver receiver;
 static void drive(double x, double y, double omega)
 {
 #ifdef LED_BUILTIN
-    digitalWrite(LED_BUILTIN, x != 0 || y != 0 || omega != 0);
+    digitalWrite(LED_BUILTIN, x != 0 || y != 0 || omega != 0 ? HIGH : LOW);
 #endif
 }
 

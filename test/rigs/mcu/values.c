@@ -1,6 +1,6 @@
 /* Copyright 2026 The mecarover_serial authors */
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Frames on stdin; what firmware/vel2d_receiver.c reads, as three doubles, NaN: refused. */
+/* Frames on stdin; what firmware/vel2d_receiver.c reads, three doubles in hex, NaN: refused. */
 #include <math.h>
 #include <stdio.h>
 
@@ -16,8 +16,13 @@ int main(void)
     vel2d_begin(&it, &settings);
     while (fread(frame, sizeof frame, 1, stdin)) {
         uint32_t good = it.good;
+        const uint8_t *read = (const uint8_t *)&it.velocity;
         vel2d_feed(&it, frame, sizeof frame, 0);
-        fwrite(it.good > good ? &it.velocity : &nothing, sizeof nothing, 1, stdout);
+        if (it.good == good)
+            read = (const uint8_t *)&nothing;
+        for (unsigned at = 0; at < sizeof nothing; at++)
+            printf("%02x", read[at]);
+        putchar('\n');
     }
     return it.bad > 0;
 }
