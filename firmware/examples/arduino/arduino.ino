@@ -3,10 +3,10 @@
 /*
  * The receiver on an Arduino: Nano Every, Uno, Mega, ESP32, RP2040, Teensy.
  *
- * compiled: avr-gcc 5.4, Arduino AVR core 1.8.7 (ATmega328P, ATmega2560)
- * tried: on the host and on a simulated ATmega328P. Not tried on silicon.
+ * compiled: avr-gcc 5.4, Arduino AVR core 1.8.7 (Uno, Mega); gcc 12.2, Teensy core of 2026-06 (4.0)
+ * tried: on the host, and on a simulated ATmega328P with the bridge. Not tried on silicon.
  *
- * It sets no hardware watchdog: how, depends on the board.
+ * It sets no hardware watchdog: each family of boards has another one.
  */
 #include <vel2d_receiver.h>
 
@@ -22,8 +22,8 @@ static void drive(double x, double y, double omega)
 #endif
 }
 
-/* No more than came by now: nothing that a host sends holds up the watchdog. */
-static void listen()
+/* No more than came by now, so that no flood keeps loop() from the watchdog. */
+static void feed()
 {
     for (int count = LINE.available(); count > 0; count--) {
         uint8_t byte = (uint8_t)LINE.read();
@@ -31,7 +31,7 @@ static void listen()
     }
 }
 
-/* No more than there is room for: it never waits. A core that names no room (mbed) reports nothing. */
+/* No more than there is room for: it never waits. A core that names none (mbed) sends nothing. */
 static void report()
 {
     static char text[VEL2D_REPORT];
@@ -47,7 +47,7 @@ static void report()
 void setup()
 {
     vel2d_settings settings = VEL2D_DEFAULTS;
-    settings.most.x = settings.most.y = 0.55;
+    settings.most.x = settings.most.y = 0.55;           /* of your rover: more is refused */
     settings.most.omega = 1.76;
     settings.gap_ms = 20;               /* more than a turn of loop() takes */
     vel2d_begin(&receiver, &settings);
@@ -59,7 +59,7 @@ void setup()
 
 void loop()
 {
-    listen();
+    feed();
     vel2d_velocity velocity = vel2d_now(&receiver, millis());
     drive(velocity.x, velocity.y, velocity.omega);
     report();
