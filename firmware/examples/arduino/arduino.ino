@@ -3,7 +3,7 @@
 /*
  * The receiver on an Arduino: Nano Every, Uno, Mega, ESP32, RP2040, Teensy.
  *
- * compiled: avr-gcc 5.4, Arduino AVR core 1.8.7 (Uno, Mega); gcc 12.2, Teensy core of 2026-06 (4.0)
+ * compiled: avr-gcc 5.4, Arduino AVR core 1.8.7 (Uno, Mega); gcc 12.2, Teensy core 2026-06 (4.0)
  * tried: on the host, and on a simulated ATmega328P with the bridge. Not tried on silicon.
  *
  * It sets no hardware watchdog: each family of boards has another one.
