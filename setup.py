@@ -58,7 +58,7 @@ setup(
         # In one folder as here: settings and programs name docs/, deploy/ and firmware/.
         *((f'share/{NAME}/{Path(names).parent}', sorted(filter(isfile, glob(names))))
           for names in ('launch/*.launch.py', 'config/*', 'deploy/*', 'docs/*.md', 'docs/*.json',
-                        'firmware/*', 'firmware/examples/*')),
+                        'firmware/*', 'firmware/examples/*', 'firmware/examples/arduino/*')),
         # A wheel ignores setup.cfg's install_scripts: these files are what `ros2 run` finds
         # after `pip install`. colcon puts its own entry points of the same names there.
         ('lib/' + NAME, sorted(glob('resource/executables/*'))),

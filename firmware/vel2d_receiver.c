@@ -4,11 +4,16 @@
  * A frame has no sync word. It is the last 28 bytes without a pause whose CRC is right: so a byte
  * that is lost, damaged or too many costs the frame it is in, and none after it.
  */
+#include <float.h>
+
 #include "vel2d_receiver.h"
 
 #define REPORT_MS 1000
 
-typedef char double_has_8_bytes[sizeof(double) == 8 ? 1 : -1];   /* AVR: -mdouble=64 */
+/* Where a double has the 4 bytes of a float (AVR), the 8 of the frame become these. */
+#ifndef VEL2D_FLOAT
+#define VEL2D_FLOAT (DBL_MANT_DIG == FLT_MANT_DIG)
+#endif
 
 static const vel2d_settings DEFAULTS = VEL2D_DEFAULTS;
 static const vel2d_velocity STOP = {0, 0, 0};
@@ -41,10 +46,20 @@ static uint32_t word(const uint8_t *bytes)
 /* Read a double; 0: too large or not finite. By its bits: -ffast-math takes NaN for a number. */
 static int read_value(const uint8_t *bytes, double most, double *value)
 {
+    uint32_t high = word(bytes + 4), low = word(bytes), size = high & 0x7FFFFFFF;
+#if VEL2D_FLOAT
+    const uint32_t largest = 0x47EFFFFF, smallest = 0x38100000;     /* below 2^128, 2^-126 */
+    union { uint32_t bits; float value; } it;
+    it.bits = high & 0x80000000;
+    if (size >= smallest && size <= largest)
+        it.bits |= (size - 0x38000000) << 3 | low >> 29;    /* toward zero: no more than was sent */
+#else
+    const uint32_t largest = 0x7FEFFFFF;
     union { uint64_t bits; double value; } it;
-    it.bits = (uint64_t)word(bytes + 4) << 32 | word(bytes);
+    it.bits = (uint64_t)high << 32 | low;
+#endif
     *value = it.value;
-    return (it.bits >> 52 & 0x7FF) != 0x7FF && it.value <= most && it.value >= -most;
+    return size <= largest && it.value <= most && it.value >= -most;
 }
 
 static void take_frame(vel2d_receiver *r, uint32_t now_ms)
@@ -115,7 +130,7 @@ vel2d_velocity vel2d_now(vel2d_receiver *r, uint32_t now_ms)
     if (r->state == VEL2D_STOPPED) {
         uint32_t passed = now_ms - r->stopped_at, ramp = r->settings.ramp_ms;
         if (passed < ramp) {
-            double share = (double)(ramp - passed) / ramp;
+            double share = (double)(ramp - passed) / (double)ramp;
             vel2d_velocity slower = {r->velocity.x * share, r->velocity.y * share,
                                      r->velocity.omega * share};
             return slower;

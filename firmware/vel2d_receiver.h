@@ -9,6 +9,9 @@
  * None of the functions may interrupt another one. If an interrupt feeds the receiver, disable
  * that interrupt while another context calls vel2d_now or vel2d_report.
  *
+ * A double has 8 bytes, or 4 as on an AVR: there values below 1.2e-38 are 0, others are rounded
+ * toward 0.
+ *
  * It is no emergency stop: that is a switch in the power line of the motors.
  */
 #ifndef VEL2D_RECEIVER_H

@@ -201,6 +201,18 @@ def test_what_the_mcu_says_goes_to_the_log(graph, running, standing):
     assert 'garbage' not in running.text
 
 
+def test_an_mcu_that_answers_frames_in_text(graph, tmp_path):
+    with Mcu(str(tmp_path / 'mcu')).running() as mcu, bridge(mcu, '-r', '__ns:=/text') as running:
+        graph.wait_status(f'text/{LINK}', 'open', level=0)
+
+        def is_named():
+            mcu.since(time.monotonic_ns(), count=1)
+            mcu.send_text(b'ERR\r\n')
+            return running.said('the MCU answers frames with "ERR"')
+        wait(is_named)
+        graph.wait_status(f'text/{LINK}', 'put a receiver as in docs/firmware.md into it', level=1)
+
+
 def test_unplugged_and_plugged_in_again(ros, graph, running, standing, cmd_vel):
     mcu = standing
     begin, reports = time.monotonic(), len(graph.heard['/diagnostics'])

@@ -203,6 +203,51 @@ def test_a_bad_cable_is_not_the_crc_input():
     assert mcu.refused_drives(SECOND, 'words') == []
 
 
+def answers(mcu, said, frames=40, every=1, period=SECOND // 20):
+    """Send frames; the MCU says `said` after each `every`th. Return its complaints."""
+    at = SECOND
+    for frame in range(frames):
+        at += period
+        mcu.frames += 1
+        if frame % every == 0:
+            mcu.feed(said, at)
+    return mcu.complaints(at, 'words')
+
+
+@pytest.mark.parametrize('said', [
+    b'Invalid Command\r\n', b'Unknown command: \x00\xb9?\n',
+    b'echo:Unknown command: "M9"\r\nok\r\n',
+    b'sh: v: command not found\n', b'>>> SyntaxError: invalid syntax\r\n', b'ERR\r\n', b'?\r\n',
+    b'\r\nERROR\r\n', b'\x1b[31mcmd unknown\x1b[0m\n'])
+def test_an_mcu_that_reads_commands_in_text(said):
+    mcu = McuLog()
+    assert answers(mcu, said, 9) == []
+    [line] = answers(mcu, said)
+    assert re.fullmatch('the MCU answers frames with "[ -~]{1,20}", .*docs/firmware.md.*', line)
+    assert mcu.complaints(20 * SECOND, 'words') == []       # it has the right firmware by now
+    mcu.reset()
+    assert answers(mcu, said, 9) == []
+
+
+def test_few_frames_have_the_byte_that_ends_a_command():
+    assert answers(McuLog(), b'Invalid Command\r\n', 400, every=30)
+
+
+@pytest.mark.parametrize(('said', 'every'), [
+    (b'cmd timeout\n', 1), (b'err 0.01 command 0.5\n', 1), (b'ERR: imu not found\r\n', 1),
+    (b'crc error\r\n', 1), (b'error 5\n', 1), (b'insufficient bytes\nunknown command\n', 1),
+    (b'vel2d receiver 1: running, 9 good, 0 bad, 0 refused, 0 stops\r\nERR\n', 1),
+    (b'rst:0x1 (POWERON_RESET),boot:0x13\r\ninvalid header: 0xffffffff\n', 1),
+    (b'pose 1\npose 2\nUnknown command\n', 1), (b'ERROR\n', 3), (b'ERROR\n' * 3, 1)])
+def test_an_mcu_that_speaks_the_frame_and_says_so_much(said, every):
+    lines = answers(McuLog(), said, 400, every)
+    assert [line for line in lines if 'commands in text' in line] == []
+
+
+def test_a_word_now_and_then_is_no_answer():
+    assert answers(McuLog(), b'unknown command\n', 40, period=10 * SECOND) == []
+
+
 def test_what_the_mcu_reports():
     """A report is values, not a line of the log; a stop by itself is a complaint."""
     mcu = McuLog()

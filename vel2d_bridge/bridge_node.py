@@ -233,6 +233,7 @@ class Bridge:
 
     def _on_sent(self, sent: Sent) -> None:
         self._timing.add_frame(sent)
+        self._mcu.frames += 1
         self._mcu.drives += sent.velocity != STOP
         if self._log.get_effective_level() <= LoggingSeverity.DEBUG:
             self._sent.append(sent)

@@ -6,7 +6,8 @@ What the MCU says on the line back, as lines fit for a log.
 Text is cut into lines; what is not text is counted, never printed. Bounded: a babbling MCU costs
 no memory and a few lines per second. The two lines by which the firmware of the mecarover thesis
 refuses a frame are counted instead of logged, and the report of an MCU with the receiver of
-firmware/ becomes status values. Pure; `now` is monotonic ns.
+firmware/ becomes status values. An MCU that reads commands in text is known by its answers to
+frames. Pure; `now` is monotonic ns.
 """
 from __future__ import annotations
 
@@ -30,6 +31,13 @@ TOO_FEW_BYTES = 'insufficient bytes'
 _KEYS = ('MCU state', 'MCU good frames', 'MCU bad frames', 'MCU refused frames',
          'MCU watchdog stops')
 _COLOUR = re.compile(rb'\x1b\[[0-9;]*[A-Za-z]')
+_ANSWERS = 10                   # that a command is not understood: so many show what the MCU reads
+_ANSWERS_WITHIN = 60 * _SECOND
+_NOT_UNDERSTOOD = re.compile(
+    r'(invalid|unknown|unrecogni[sz]ed|unsupported|illegal|bad) (command|cmd)'
+    r'|(command|cmd) (not (found|recogni[sz]ed|supported)|unknown|invalid)'
+    r'|not understood|syntax ?error', re.IGNORECASE)
+_ERROR = re.compile(r'\s*(err(or)?|nac?k|\?+)[.!:\s]*', re.IGNORECASE)   # judged by its rate too
 
 
 _REMEDIES = {CRC_MISMATCH: 'check cable and ground',
@@ -78,6 +86,9 @@ class McuLog:
         self.drives = 0             # frames sent that are not stops
         self._bad = 0               # frames, as its reports say
         self._drives_before = self._refused_before = 0
+        self.frames = 0             # sent
+        self._answers: deque[tuple[int, int, int]] = deque(maxlen=_ANSWERS)
+        self._answer, self._answered_at = '', 0     # the newest that shows what the MCU reads
 
     def feed(self, chunk: bytes, now: int = 0) -> None:
         """Take what came in."""
@@ -91,6 +102,7 @@ class McuLog:
 
     def _keep(self, line: bytes, now: int) -> None:
         text = _COLOUR.sub(b'', line).replace(b'\t', b' ').decode(errors='replace')
+        self._judge_answer(text, now)       # some firmware quotes the bytes that it does not know
         if '\ufffd' in text or not text.isprintable():
             self.garbage_bytes += len(line)
             return
@@ -108,6 +120,19 @@ class McuLog:
             self._kept.append(text[:_LONGEST])
         else:
             self._skipped += 1
+
+    def _judge_answer(self, text: str, now: int) -> None:
+        words = _NOT_UNDERSTOOD.search(text) or _ERROR.fullmatch(text)
+        if words is None or self._report is not None or any(self.refused.values()):
+            return
+        answers = self._answers             # the node's thread may put another one there
+        answers.append((now, self.lines, self.frames))
+        since, lines, frames = answers[0]
+        is_most = self.lines - lines < 2 * _ANSWERS
+        is_of_frames = _ANSWERS / 2 <= self.frames - frames < 2 * _ANSWERS
+        if (len(answers) == _ANSWERS and now - since < _ANSWERS_WITHIN and is_most
+                and (is_of_frames or words.re is _NOT_UNDERSTOOD)):
+            self._answer, self._answered_at = words.group().strip(), now
 
     def take_lines(self, now: int) -> list[str]:
         """Return the lines since the last call, at most a few per second."""
@@ -131,7 +156,14 @@ class McuLog:
         refusals = [f'the MCU refuses frames with "{words}"; {_REMEDIES[words]}'
                     for words, count in self.refused.items()
                     if self._refusals[words].is_recent(count, now)]
-        return self.refused_drives(now, crc_input) or [*refusals, *self._report_complaints(now)]
+        return (self._wrong_firmware(now) or self.refused_drives(now, crc_input)
+                or [*refusals, *self._report_complaints(now)])
+
+    def _wrong_firmware(self, now: int) -> list[str]:
+        if not self._answer or now - self._answered_at >= _REFUSED_FOR:
+            return []
+        return [f'the MCU answers frames with "{self._answer}", so it reads commands in text and '
+                'not the frame; put a receiver as in docs/firmware.md into it']
 
     def refused_drives(self, now: int, crc_input: str) -> list[str]:
         """

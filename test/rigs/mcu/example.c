@@ -1,8 +1,9 @@
 /* Copyright 2026 The mecarover_serial authors */
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * As much of the STM32 HAL (-Dstm32_hal) and of the SDK of the Pico as the examples of firmware/ need,
- * on the host, on simulated time. The example is included as the_example.c.
+ * As much of the STM32 HAL (-Dstm32_hal), of Arduino (-Darduino, C++) and of the SDK of the Pico as
+ * the examples of firmware/ need, on the host, on simulated time. The example is included as
+ * the_example.c.
  * Input: "MS HEX" is what came until the line was idle, "MS error" an overrun, "MS busy" a
  * reception that HAL could not begin again, "MS end" the end.
  * Output: "MS X Y OMEGA" for each velocity that is set, and the lines for the host.
@@ -133,6 +134,60 @@ int main(void)
         vel2d_control();
         if (!interrupts)
             return 1;
+    }
+}
+#elif defined arduino
+enum { LED = 13, OUTPUT = 1 };
+enum PinStatus { LOW, HIGH };                   /* some cores take no bool for it */
+#define LED_BUILTIN LED
+#define ROOM 63                                 /* as an AVR: a report does not fit */
+
+static uint32_t millis() { return now; }
+static void pinMode(int pin, int mode) { if (pin != LED || mode != OUTPUT) exit(1); }
+static void digitalWrite(int pin, PinStatus) { if (pin != LED) exit(1); }
+
+static struct {
+    const uint8_t *arrived, *end;
+    int room;
+    size_t length;
+    char line[128];
+    int available() { return (int)(end - arrived); }
+    int read() { return *arrived++; }
+    int availableForWrite() { return room; }
+    void begin(unsigned long baud) { if (baud != 115200) exit(1); }
+
+    void write(uint8_t byte)
+    {
+        if (!room--)
+            exit(1);                            /* it would wait */
+        line[length++] = (char)byte;
+        if (byte != '\n')
+            return;
+        fwrite(line, 1, length, stdout);
+        length = 0;
+    }
+} Serial;
+
+#include "the_example.c"
+
+static void receive(const uint8_t *bytes, size_t count)
+{
+    Serial.arrived = bytes;
+    Serial.end = bytes + count;
+    loop();
+}
+
+static void overrun() {}
+static void busy() {}
+
+int main()
+{
+    setup();
+    for (uint32_t turn = 1;; turn++) {
+        pass(turn);
+        if (turn % 6 == 0)
+            Serial.room = ROOM;
+        loop();
     }
 }
 #else

@@ -8,13 +8,14 @@ from rigs.harness import REPOSITORY
 
 FIRMWARE = REPOSITORY / 'firmware'
 HERE = Path(__file__).parent
-WARNINGS = ('-std=c99', '-Wall', '-Wextra', '-Wpedantic', '-Wconversion', '-Werror')
+WARNINGS = ('-Wall', '-Wextra', '-Wpedantic', '-Wconversion', '-Werror')
 SANITIZERS = ('-g', '-O1', '-fsanitize=address,undefined', '-fno-sanitize-recover=all')
 
 
-def compiled(folder, source, *options):
+def compiled(folder, source, *options, is_cpp=False):
     """Compile the receiver with a program that uses it."""
     program = folder / source.stem
-    subprocess.run(['cc', *WARNINGS, *(options or SANITIZERS), f'-I{FIRMWARE}', source,
+    sources = ['-x', 'c++', source, '-x', 'c'] if is_cpp else ['-std=c99', source]
+    subprocess.run(['cc', *WARNINGS, *(options or SANITIZERS), f'-I{FIRMWARE}', *sources,
                     FIRMWARE / 'vel2d_receiver.c', '-lm', '-o', program], check=True)
     return program
