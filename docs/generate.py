@@ -77,9 +77,9 @@ LINK = {
     'Reopenings': '',
     'Losses': '',
     'Write time-outs': 'frames discarded after `write_timeout`; a stop followed each',
-    'Partial writes': 'the port took part of a frame; not completed, a stop followed',
+    'Partial writes': 'the port took part of a frame; a stop followed',
     'Freezes': 'no activity for 0.2 s or more, or the dead man acted',
-    'Deadman': 'ready, off (parameter), no use (a URL that it cannot write to: WARN), starting, '
+    'Deadman': 'ready, off (parameter), no use (a URL: WARN), starting, '
                'frozen or lost: both ERROR',
     'Bytes from MCU': '',
     'Lines from MCU': '',
@@ -87,7 +87,7 @@ LINK = {
     'Refused by MCU: crc mismatch': 'reported by the MCU; WARN for 10 s',
     'Refused by MCU: insufficient bytes': 'the same: a wrong length',
     'Last error': 'kept after recovery',
-    'MCU version': 'this and the next keys are there if the [MCU reports](firmware.md)',
+    'MCU version': 'this and the next if the [MCU reports](firmware.md)',
     'MCU state': 'waiting for a first frame, running, or stopped by its watchdog: WARN',
     'MCU good frames': '',
     'MCU bad frames': 'received damaged',
@@ -105,12 +105,12 @@ COMMANDS = {
     'Commands accepted': '',
     'Commands limited': 'accepted, but scaled into the limits',
     'Commands replaced': 'accepted, but a newer one came before they were sent (`max_rate`)',
-    'Zero stamps': 'accepted',
+    'Zero stamps': '',
     'Refused: not finite': '',
     'Refused: larger than 1e6': '',
     'Refused: disabled': '',
     'Refused: port not open': '',
-    'Refused: bridge was frozen': 'in the 0.2 s after a freeze: it may be old',
+    'Refused: bridge was frozen': 'in the 0.2 s after a freeze',
     'Refused: waited too long': 'in the middleware, for more than `cmd_vel_timeout`',
     'Refused: stamp too old': '',
     'Refused: stamp in the future': '',
@@ -127,14 +127,14 @@ COMMANDS = {
     'Stops: shutdown': '',
 }
 DEVICE = {
-    'Model': 'learned from a Ping, from a read of Model Number, or from the parameter `devices`',
+    'Model': 'from a Ping, a read of Model Number, or `devices`',
     'Firmware Version': '',
     'State': '',
     'Answers': '',
     'Missed Answers': 'the next instruction came before the answer',
     'Missed in a Row': '',
     'Loss in 10 s (%)': '',
-    'Not Served': 'in a Sync Read that ended at a silent device before it: not its fault',
+    'Not Served': 'in a Sync Read that ended at a silent device before it',
     'Damaged Answers': 'wrong CRC or sum',
     'Repaired Answers': 'first header byte damaged, CRC right: accepted',
     'Refused Instructions': 'answers with an error number',
@@ -146,11 +146,11 @@ DEVICE = {
 }
 BUS = {
     'Port': '',
-    'State': 'of the port: open, or closed: nothing is known of its devices then',
+    'State': 'of the port: open or closed',
     'Baud (bit/s)': '',
     'Protocol': '[as heard](dialects.md)',
     'Devices': 'known or expected; then a key for each state',
-    'Models': 'IDs, model and model number: `001-018 MX-106 (321), 019 unknown`',
+    'Models': 'IDs, model, number: `001-018 MX-106 (321), 019 unknown`',
     'Bytes': 'packet, noise and pending bytes',
     'Packet Bytes': '',
     'Noise Bytes': '',
@@ -161,7 +161,7 @@ BUS = {
     'CRC Errors': '',
     'Truncated Packets': '',
     'Bad Lengths': '',
-    'Unasked Answers': 'without an instruction: they change no table',
+    'Unasked Answers': 'without an instruction',
     'Unknown Instructions': '',
     'bytes (1/s)': '',
     'packets (1/s)': '',
@@ -178,7 +178,7 @@ STATES = (
     (words.MOVED, 'WARN', 'its Baud Rate was written'),
 )
 METRICS = {
-    'callback_to_write': 'from the callback of a command to the end of its write',
+    'callback_to_write': 'from callback to end of write',
     'write': '',
     'command_period': '',
     'stamp_age': 'of a TwistStamped at arrival; needs clocks that agree',
@@ -242,7 +242,7 @@ def diagnostics() -> str:
         'Levels come from the last 10 s; counters count since start or reset. Keys contain the '
         'unit, values are bare numbers. In a namespace, names and hardware IDs begin with it: '
         '`rover1/dxl_monitor: 011`, `rover1/servo bus ttyUSB0/ID 11`. A report of more than 30 '
-        'statuses or 60 kB is cut into equal messages, and each status has `part` = `1 of 2`.\n',
+        'statuses or 60 kB comes in equal messages, each status with `part` = `1 of 2`.\n',
         '## `vel2d_bridge: link`\n', *_keys(link, LINK),
         '## `vel2d_bridge: commands`\n', *_keys(commands, COMMANDS),
         'At WARN and ERROR the message has reason and remedy; all of them: `Complaint 1`, '
@@ -264,7 +264,7 @@ def diagnostics() -> str:
         'timing/write`): mean, deviation, min, max, p50, p95, p99, count, or `value`, over the '
         'last 10 s and since start. The Float64 topics have the p95 or the value. The parameter '
         '`timing_topics` `all` adds statistics_msgs/MetricsMessage on `vel2d/statistics/...` and '
-        '`dxl/statistics/...`; `off` removes all. `BUS` is one of `names`.\n',
+        '`dxl/statistics/...`; `off` removes all. `BUS`, of `names`, is always there.\n',
         *_keys([*topics], topics),
         'Per device, on `dxl/timing` only: ' + ', '.join(
             f'`{one.name}` ({one.unit}), {METRICS[one.name]}' for one in metrics_of_device)
