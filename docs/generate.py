@@ -32,9 +32,9 @@ from servobus.doctor.rules import FAMILIES
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 from servobus.status import bus_status
-from servobus.status import device_metrics
 from servobus.status import device_status
 from servobus.status import PortState
+from servobus.status import timing_metrics
 from servobus.tools.doctor.explain import Explanation
 from servobus.tools.doctor.explain import explanations
 from vel2d_bridge.bridge_settings import PARAMETERS as BRIDGE
@@ -59,7 +59,8 @@ TOPICS = (
     ('`cmd_vel` (subscribed)', 'Twist or TwistStamped', 'x, y, omega; `message_type`'),
     ('`/diagnostics`', 'DiagnosticArray, 1 Hz and at a change of level',
      'link, commands, buses, devices'),
-    ('`dxl/diagnostics`', 'DiagnosticArray, 2 Hz', 'buses and devices, with every register seen'),
+    ('`dxl/diagnostics`', 'DiagnosticArray, 2 Hz',
+     'buses, then devices, the worst first; every register seen'),
     ('`dxl/joint_states`', 'JointState', 'off by default: `joint_state_rate`'),
     ('`vel2d/timing`, `dxl/timing`', 'DiagnosticArray, 1 Hz', 'latencies, rates, bus load'),
     ('`vel2d/timing/...`, `dxl/timing/...`', 'Float64, 1 Hz', 'the same for rqt_plot'),
@@ -76,9 +77,9 @@ LINK = {
     'Reopenings': '',
     'Losses': '',
     'Write time-outs': 'frames discarded after `write_timeout`; a stop followed each',
-    'Partial writes': 'the port took part of a frame; not completed, a stop followed',
+    'Partial writes': 'the port took part of a frame; a stop followed',
     'Freezes': 'no activity for 0.2 s or more, or the dead man acted',
-    'Deadman': 'ready, off (parameter), no use (a URL that it cannot write to: WARN), starting, '
+    'Deadman': 'ready, off (parameter), no use (a URL: WARN), starting, '
                'frozen or lost: both ERROR',
     'Bytes from MCU': '',
     'Lines from MCU': '',
@@ -86,7 +87,7 @@ LINK = {
     'Refused by MCU: crc mismatch': 'reported by the MCU; WARN for 10 s',
     'Refused by MCU: insufficient bytes': 'the same: a wrong length',
     'Last error': 'kept after recovery',
-    'MCU version': 'this and the next keys are there if the [MCU reports](firmware.md)',
+    'MCU version': 'this and the next if the [MCU reports](firmware.md)',
     'MCU state': 'waiting for a first frame, running, or stopped by its watchdog: WARN',
     'MCU good frames': '',
     'MCU bad frames': 'received damaged',
@@ -104,12 +105,12 @@ COMMANDS = {
     'Commands accepted': '',
     'Commands limited': 'accepted, but scaled into the limits',
     'Commands replaced': 'accepted, but a newer one came before they were sent (`max_rate`)',
-    'Zero stamps': 'accepted',
+    'Zero stamps': '',
     'Refused: not finite': '',
     'Refused: larger than 1e6': '',
     'Refused: disabled': '',
     'Refused: port not open': '',
-    'Refused: bridge was frozen': 'in the 0.2 s after a freeze: it may be old',
+    'Refused: bridge was frozen': 'in the 0.2 s after a freeze',
     'Refused: waited too long': 'in the middleware, for more than `cmd_vel_timeout`',
     'Refused: stamp too old': '',
     'Refused: stamp in the future': '',
@@ -126,14 +127,14 @@ COMMANDS = {
     'Stops: shutdown': '',
 }
 DEVICE = {
-    'Model': 'learned from a Ping, from a read of Model Number, or from the parameter `devices`',
+    'Model': 'from a Ping, a read of Model Number, or `devices`',
     'Firmware Version': '',
     'State': '',
     'Answers': '',
     'Missed Answers': 'the next instruction came before the answer',
     'Missed in a Row': '',
     'Loss in 10 s (%)': '',
-    'Not Served': 'in a Sync Read that ended at a silent device before it: not its fault',
+    'Not Served': 'in a Sync Read that ended at a silent device before it',
     'Damaged Answers': 'wrong CRC or sum',
     'Repaired Answers': 'first header byte damaged, CRC right: accepted',
     'Refused Instructions': 'answers with an error number',
@@ -145,11 +146,11 @@ DEVICE = {
 }
 BUS = {
     'Port': '',
-    'State': 'of the port: open, or closed: nothing is known of its devices then',
+    'State': 'of the port: open or closed',
     'Baud (bit/s)': '',
     'Protocol': '[as heard](dialects.md)',
     'Devices': 'known or expected; then a key for each state',
-    'Models': 'IDs, model and model number: `001-018 MX-106 (321), 019 unknown`',
+    'Models': 'IDs, model, number: `001-018 MX-106 (321), 019 unknown`',
     'Bytes': 'packet, noise and pending bytes',
     'Packet Bytes': '',
     'Noise Bytes': '',
@@ -160,7 +161,7 @@ BUS = {
     'CRC Errors': '',
     'Truncated Packets': '',
     'Bad Lengths': '',
-    'Unasked Answers': 'without an instruction: they change no table',
+    'Unasked Answers': 'without an instruction',
     'Unknown Instructions': '',
     'bytes (1/s)': '',
     'packets (1/s)': '',
@@ -177,7 +178,7 @@ STATES = (
     (words.MOVED, 'WARN', 'its Baud Rate was written'),
 )
 METRICS = {
-    'callback_to_write': 'from the callback of a command to the end of its write',
+    'callback_to_write': 'from callback to end of write',
     'write': '',
     'command_period': '',
     'stamp_age': 'of a TwistStamped at arrival; needs clocks that agree',
@@ -240,30 +241,30 @@ def diagnostics() -> str:
         '`/dxl_monitor/reset_statistics`, `/dxl_monitor/save_recording` (Trigger).\n',
         'Levels come from the last 10 s; counters count since start or reset. Keys contain the '
         'unit, values are bare numbers. In a namespace, names and hardware IDs begin with it: '
-        '`rover1/dxl_monitor: 011`, `rover1/11`. A report of more than 30 statuses or 60 kB is '
-        'cut into equal messages, and each status has `part` = `1 of 2`.\n',
+        '`rover1/dxl_monitor: 011`, `rover1/servo bus ttyUSB0/ID 11`. A report of more than 30 '
+        'statuses or 60 kB comes in equal messages, each status with `part` = `1 of 2`.\n',
         '## `vel2d_bridge: link`\n', *_keys(link, LINK),
         '## `vel2d_bridge: commands`\n', *_keys(commands, COMMANDS),
         'At WARN and ERROR the message has reason and remedy; all of them: `Complaint 1`, '
         '`Complaint 2` ...\n',
         '## `dxl_monitor: bus [NAME]`\n', *_keys(bus, BUS),
-        'Then counters of the driver; `finding.RULE` and `severity.RULE` (`warn` or '
-        '`error`) for each [finding](doctor.md) about the bus; `cannot tell.RULE` with the reason '
-        'for each rule that it cannot judge. On `dxl/diagnostics` only: `Running for (s)`, and '
-        'the last 50 errors, `error 00` (the newest) to `error 49`, in seconds since start.\n',
+        'After `State`: `finding.RULE` and `severity.RULE` (`warn` or `error`) for each '
+        '[finding](doctor.md) about the bus, and `device ID`, what is wrong with the worst five. '
+        'Last: counters of the driver; `cannot tell.RULE`, why a rule cannot be judged. On '
+        '`dxl/diagnostics` only: `Running for (s)`, and the last 50 errors, `error 00` (the '
+        'newest) to `error 49`, in seconds since start.\n',
         '## `dxl_monitor: [BUS/]ID [JOINT]`\n', *_keys(device, DEVICE),
-        'Then `finding.RULE` and `severity.RULE` about the device. On `dxl/diagnostics` only: '
-        'every register that was seen on the bus, `Present Position (rad)` = `1.5708`; enums and '
-        'flags as text, and `NAME (raw)`; `Fields not observed`; `observed`, JSON: age in seconds '
-        'and `r` (read from the device) or `w` (written by the master) of each.\n',
+        'Then `finding.RULE` and `severity.RULE`. On `/diagnostics` temperature and input '
+        'voltage; on `dxl/diagnostics` every register seen, `Present Position (rad)` = `1.5708`; '
+        'enums and flags as text, and `NAME (raw)`; `Fields not observed`; `observed`, JSON: age '
+        'in seconds and `r` (read) or `w` (written by the master) of each.\n',
         _table(('state', 'level', 'meaning'), STATES),
         '## Timing\n',
         'On `vel2d/timing` and `dxl/timing` a status for each metric (`vel2d_bridge: '
         'timing/write`): mean, deviation, min, max, p50, p95, p99, count, or `value`, over the '
         'last 10 s and since start. The Float64 topics have the p95 or the value. The parameter '
         '`timing_topics` `all` adds statistics_msgs/MetricsMessage on `vel2d/statistics/...` and '
-        '`dxl/statistics/...`; `off` removes all. With several buses the bus name comes before '
-        'the metric.\n',
+        '`dxl/statistics/...`; `off` removes all. `BUS`, of `names`, is always there.\n',
         *_keys([*topics], topics),
         'Per device, on `dxl/timing` only: ' + ', '.join(
             f'`{one.name}` ({one.unit}), {METRICS[one.name]}' for one in metrics_of_device)
@@ -278,7 +279,8 @@ def _keys(keys: Sequence[str], meanings: dict[str, str]) -> list[str]:
 
 
 def _topics(prefix: str, metrics: Sequence[Metric]) -> dict[str, str]:
-    return {f'{prefix}/timing/{one.name}_{unit_name(one.unit)}': METRICS[one.name]
+    return {'/'.join(filter(None, (prefix, 'timing', one.bus_name,
+                                   f'{one.name}_{unit_name(one.unit)}'))): METRICS[one.name]
             for one in metrics}
 
 
@@ -301,10 +303,13 @@ def _monitor() -> tuple[list[str], list[str], Sequence[Metric], Sequence[Metric]
         monitor.feed(encode(11, 0x01), (2 * count + 1) * 10**8, OUT)
         monitor.feed(encode(11, 0x55, b'\x40\x01\x2d', error=0), (2 * count + 2) * 10**8, IN)
     report = monitor.report(5 * 10**9)
-    bus = bus_status('', '', report, PortState('port', '', ()), False)
+    port = PortState('port', '', (), bus='BUS')
+    bus = bus_status('', '', report, port, False)
     device = device_status('', '', report.devices[0], (), False)
     keys = [key for key, _ in bus.values if not key.startswith('Devices ')]
-    return keys, [key for key, _ in device.values], report.metrics, device_metrics(report)
+    metrics = timing_metrics('', report, port)
+    return (keys, [key for key, _ in device.values],
+            *([one for one in metrics if bool(one.device) is of] for of in (False, True)))
 
 
 def errors() -> str:

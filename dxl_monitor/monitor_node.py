@@ -34,6 +34,7 @@ from msg_defs.crc import SLOW_CRC_WARNING
 from msg_defs.diagnostics import Metric
 from msg_defs.diagnostics import Status
 from msg_defs.diagnostics import topic_names
+from msg_defs.diagnostics import worst_first
 from msg_defs.ros import DiagnosticArrays
 from msg_defs.ros import full_name
 from msg_defs.ros import joint_state
@@ -48,9 +49,9 @@ from servobus.monitored_bus import MonitoredBus
 from servobus.settings import buses
 from servobus.settings import load_models
 from servobus.sources.listener import STARTING
-from servobus.status import device_metrics
 from servobus.status import PortState
 from servobus.status import statuses_of
+from servobus.status import timing_metrics
 
 OVERVIEW_S = 1.0            # /diagnostics and dxl/timing
 CHECK_S = 1.0               # whether the timers are well
@@ -119,7 +120,7 @@ class MonitorNode(Stoppable):
         self._table_arrays = DiagnosticArrays()
         self._timing = TimingPublisher(
             self.node, 'dxl', values['timing_topics'],
-            [one.bus.label for one in self._buses])
+            [one.bus.name for one in self._buses])
         self.node.create_service(Trigger, '~/reset_statistics', self._reset_statistics)
         self.node.create_service(Trigger, '~/save_recording', self._save_recording)
         self._timers = Timers()
@@ -245,7 +246,7 @@ class MonitorNode(Stoppable):
                 self._overview.publish(array)
         if is_time:
             self._overview_s = now_s
-            self._publish_timing([report for _, report, _ in reports])
+            self._publish_timing(reports)
         for log, (one, report, port) in zip(self._bus_logs, reports, strict=True):
             self._log_port(one.listener.state.text, port)
             if not port.problem:
@@ -253,18 +254,20 @@ class MonitorNode(Stoppable):
                     self._log.warning(line)
 
     def _statuses(self, reports: list[Reported], whole: bool) -> list[Status]:
+        """Return the buses, then the devices, both the worst first: a reader sees the top."""
         node = full_name(self.node)
-        return [status for one, report, port in reports
-                for status in statuses_of(node, one.bus.label, report, port, whole)]
+        groups = [statuses_of(node, one.bus.label, report, port, whole)
+                  for one, report, port in reports]
+        return [*worst_first(bus for bus, *_ in groups),
+                *worst_first(device for _, *devices in groups for device in devices)]
 
     def _stamp(self) -> Any:
         return to_time(self.node.get_clock().now().nanoseconds)
 
-    def _publish_timing(self, reports: list[BusReport]) -> None:
+    def _publish_timing(self, reports: list[Reported]) -> None:
         metrics = [Metric('resident_memory', 'MB', value=resident_memory_mb())]
-        for report in reports:
-            metrics += report.metrics
-            metrics += device_metrics(report)
+        for _, report, port in reports:
+            metrics += timing_metrics(full_name(self.node), report, port)
         self._timing.publish(metrics, self.node.get_clock().now().nanoseconds)
 
     def _log_port(self, words: str, port: PortState) -> None:

@@ -28,9 +28,9 @@ from servobus.doctor import FindingLog
 from servobus.examination import REPORT_NS
 from servobus.monitor import Monitor
 from servobus.signals import BusSignals
-from servobus.status import device_metrics
 from servobus.status import PortState
 from servobus.status import statuses_of
+from servobus.status import timing_metrics
 from servobus.tools.doctor.verdict import Verdict
 
 NODE = 'dxl_monitor'                # in the names of statuses
@@ -107,7 +107,7 @@ class Feed:
             log.add_report(report)
             label = bus.monitor.name
             statuses += statuses_of(NODE, label, report, port, whole=True)
-            metrics += [*report.metrics, *device_metrics(report)]
+            metrics += timing_metrics(NODE, report, port)
             self._places |= {status_name(NODE, label, one.name): (label, one.id)
                              for one in report.devices}
         self.out(TABLES, statuses)

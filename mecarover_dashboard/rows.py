@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 from mecarover_dashboard.cdr import AnyStatus
 from msg_defs import status_keys as keys
+from msg_defs.diagnostics import BUS_HARDWARE
 from msg_defs.diagnostics import CONNECTED
 from msg_defs.diagnostics import Level
 from msg_defs.diagnostics import namespace_of
@@ -26,7 +27,7 @@ from msg_defs.diagnostics import PORT_CLOSED
 Row = dict[str, Any]
 
 HEAD = 32                          # pairs in front of the table: facts, counters, findings
-_LISTED = (keys.FINDING, keys.SEVERITY, keys.ERROR, keys.DOUBT)
+_LISTED = (keys.FINDING, keys.SEVERITY, keys.ERROR, keys.DOUBT, keys.SICK)
 _NAMING = 3                         # Model, Firmware Version, State
 _ASIDE = (keys.RUNNING, keys.PART)      # keys of a bus shown elsewhere, or nowhere
 _LEVELS = frozenset(Level)
@@ -37,9 +38,8 @@ _BRIDGE = {'link': {keys.PORT, keys.STATE},
 _DEVICE = re.compile(r'\d{3}(?: |$)')
 _FIGURES = ('p50', 'p95', 'max')
 _ERROR = re.compile(r'(\d+\.\d+) s: (.*)', re.DOTALL)
-_VALUES = ((b'Present Position (',), (b'Present Temperature (', b'Present Motor Temperature ('),
-           (b'Present Input Voltage (', b'Present Voltage ('),
-           (b'Present Load (', b'Present Current ('))
+_VALUES = tuple(tuple(f'{name} ('.encode() for name in names) for names in (
+    ('Present Position',), keys.TEMPERATURES, keys.VOLTAGES, ('Present Load', 'Present Current')))
 _LIMITS = ((b'Min Position Limit (', b'CW Angle Limit ('),
            (b'Max Position Limit (', b'CCW Angle Limit ('),
            (b'Temperature Limit (', b'Motor Temperature Limit ('),
@@ -99,9 +99,11 @@ def section(status: AnyStatus) -> str:
 
 
 def _bus_of(status: AnyStatus) -> str:
-    """Return the bus of a device, '' where its node has only one."""
-    robot = namespace_of(split_name(status.name)[0])
-    return status.hardware_id.removeprefix(f'{robot}/').rpartition('/')[0]
+    """Return the bus of a device, '' where its node has only one; older: '[BUS/]11'."""
+    node, rest = split_name(status.name)
+    bus = status.hardware_id.removeprefix(f'{namespace_of(node)}/').rpartition('/')[0]
+    bus = bus.removeprefix(BUS_HARDWARE)
+    return bus if rest.startswith(f'{bus}/') else ''
 
 
 def _own_name(status: AnyStatus, rest: str) -> str:

@@ -47,7 +47,8 @@ class Metric(NamedTuple):
     """
     One timing metric: a series (window, total) or a single value.
 
-    `notes` are further (key, value) pairs that belong to the figures, unit in the key.
+    `notes` are further (key, value) pairs that belong to the figures, unit in the key. `bus` is
+    part of the name of its status, '' with a single bus; `bus_name` of its topics, always.
     """
 
     name: str
@@ -58,6 +59,8 @@ class Metric(NamedTuple):
     bus: str = ''
     device: str = ''
     notes: tuple[tuple[str, str], ...] = ()
+    bus_name: str = ''
+    hardware_id: str = ''
 
 
 class Joint(NamedTuple):
@@ -80,6 +83,11 @@ SEVERITY = (Level.OK, Level.WARN, Level.STALE, Level.ERROR)
 def worst(levels: Iterable[Level]) -> Level:
     """Return the level of a group; OK for an empty one."""
     return max(levels, key=SEVERITY.index, default=Level.OK)
+
+
+def worst_first(statuses: Iterable[Status]) -> list[Status]:
+    """Return statuses by level; those of one level keep their order."""
+    return sorted(statuses, key=lambda one: -SEVERITY.index(one.level))
 
 
 def number(value: float) -> str:
@@ -120,6 +128,9 @@ def status_name(node: str, *parts: str) -> str:
 def namespace_of(node: str) -> str:
     """Return the namespace in the full name of a node: 'rover1' of 'rover1/dxl_monitor'."""
     return node.rpartition('/')[0]
+
+
+BUS_HARDWARE = 'servo bus '         # then its name, and for a device '/ID 11'
 
 
 def hardware_id(node: str, *parts: str) -> str:
@@ -178,7 +189,7 @@ def metric_status(node: str, metric: Metric) -> Status:
     values += _figures('since start ', metric.unit, metric.total)
     values += metric.notes
     name = status_name(node, 'timing', metric.bus, metric.device, metric.name)
-    return Status(name, Level.OK, _headline_text(metric), '', values)
+    return Status(name, Level.OK, _headline_text(metric), metric.hardware_id or node, values)
 
 
 def _figures(prefix: str, unit: str, summary: Summary | None) -> Pairs:

@@ -255,7 +255,7 @@ class TimingPublisher:
             publisher.publish(metrics_message(metric, source, start, stop))
 
     def _topic(self, kind: str, metric: Metric, name: str) -> str:
-        bus = self._buses[metric.bus] if metric.bus else ''
+        bus = self._buses[metric.bus_name] if metric.bus_name else ''
         return '/'.join(filter(None, (kind, bus, name)))
 
     def _publisher(self, kind: type, topic: str) -> Any:

@@ -19,6 +19,8 @@ MISSED_ANSWERS = 'Missed Answers'
 LOSS = 'Loss in 10 s (%)'
 LATENCY_P50 = 'Reply latency p50 (ms)'
 NOT_OBSERVED = 'Fields not observed'
+TEMPERATURES = 'Present Temperature', 'Present Motor Temperature'      # then the unit
+VOLTAGES = 'Present Input Voltage', 'Present Voltage'
 OBSERVED = 'observed'              # JSON: for each field its age (s), 'r' or 'w'
 
 
@@ -54,6 +56,7 @@ PART = 'part'
 FINDING = 'finding.'               # then the rule
 SEVERITY = 'severity.'             # then the rule: warn or error
 DOUBT = 'cannot tell.'             # then the rule
+SICK = 'device '                   # then its name: what is wrong with it, in the status of the bus
 ERROR = 'error '                   # then a number: an entry of the error log
 
 

@@ -101,7 +101,7 @@ class MonitoredBus:
             warning = (f'{self.bus.port}: its reader is not responding, so the data is stale; '
                        'plug the adapter in again, or restart the node')
         return PortState(self.bus.port, '' if state.is_open else state.text, tuple(values),
-                         '; '.join(filter(None, [*warnings, warning])))
+                         '; '.join(filter(None, [*warnings, warning])), self.bus.name)
 
     def _complaints(self) -> list[str]:
         """Return what disturbs the port while it is open: a login, a console."""

@@ -15,6 +15,7 @@ import json
 from typing import NamedTuple
 
 from msg_defs import status_keys as keys
+from msg_defs.diagnostics import BUS_HARDWARE
 from msg_defs.diagnostics import hardware_id
 from msg_defs.diagnostics import Level
 from msg_defs.diagnostics import Metric
@@ -23,12 +24,15 @@ from msg_defs.diagnostics import Pairs
 from msg_defs.diagnostics import pairs
 from msg_defs.diagnostics import PORT_CLOSED
 from msg_defs.diagnostics import PORT_OPEN
+from msg_defs.diagnostics import SEVERITY
 from msg_defs.diagnostics import Status
 from msg_defs.diagnostics import status_name
 from msg_defs.diagnostics import worst
 from servobus.bus.report import BusReport
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import Finding
+
+SICK_MAX = 5                    # devices in the status of a bus
 
 
 class PortState(NamedTuple):
@@ -38,12 +42,13 @@ class PortState(NamedTuple):
     problem: str                # why it is not open; '' when it is
     values: tuple[tuple[str, str], ...]     # further facts: latency timer, overruns, gaps
     warning: str = ''           # what else somebody has to see to, e.g. a capture that stopped
+    bus: str = ''               # name of the bus, also where it is the only one
 
 
 def device_status(node: str, bus: str, device: DeviceReport, findings: tuple[Finding, ...],
-                  with_table: bool, is_listening: bool = True) -> Status:
+                  with_table: bool, is_listening: bool = True, bus_name: str = '') -> Status:
     """
-    Return the status of a device; `bus` is '' where there is only one.
+    Return the status of a device; `bus` is '' where there is only one, bus_name is not.
 
     While the port is closed (not is_listening) nothing is known of a device that answered
     before: its values are the last ones.
@@ -62,11 +67,15 @@ def device_status(node: str, bus: str, device: DeviceReport, findings: tuple[Fin
         keys.LATENCY_P50: window and window.p50,       # only where the chunks resolve it
         'Reply latency p95 (ms)': window and window.p95,
         'Reply latency resolved (%)': round(100 * device.latency.resolved, 1),
-    }) + _findings(one for one in findings if one.device == device.id)
+    })
+    if not with_table:
+        values += [(field.key, value.text) for field, value, _, _ in device.observed
+                   if field.name in keys.TEMPERATURES + keys.VOLTAGES]
+    values += _findings(one for one in findings if one.device == device.id)
     if with_table:
         values += _table(device)
     return Status(status_name(node, bus, device.name), level, message,
-                  hardware_id(node, bus, str(device.id)), values)
+                  _hardware_id(node, bus_name or bus, device), values)
 
 
 def bus_status(node: str, bus: str, report: BusReport, port: PortState,
@@ -82,6 +91,11 @@ def bus_status(node: str, bus: str, report: BusReport, port: PortState,
     values = pairs({
         keys.PORT: port.port,
         keys.STATE: PORT_CLOSED if port.problem else PORT_OPEN,
+    })
+    values += _findings(one for one in report.findings if one.device is None)
+    if not port.problem:
+        values += _sick(report.devices)
+    values += pairs({
         'Baud (bit/s)': report.baud or 'not known yet',
         'Protocol': report.protocol or 'not known yet',
         'Devices': len(report.devices),
@@ -91,22 +105,37 @@ def bus_status(node: str, bus: str, report: BusReport, port: PortState,
         **{f'{name} (1/s)': rate for name, rate in report.rates.items()},
     })
     values += port.values
-    values += _findings(one for one in report.findings if one.device is None)
     values += _doubts(report.doubts)
     if with_log:
         if report.started:             # how old the times of the errors are: they can be dated
             values.append((keys.RUNNING, number(round((report.stamp - report.started) / 1e9, 1))))
         values += _errors(report)
     return Status(status_name(node, f'bus {bus}'.strip()), level, message,
-                  hardware_id(node, bus or port.port), values)
+                  _hardware_id(node, _bus_name(bus, port)), values)
 
 
 def statuses_of(node: str, bus: str, report: BusReport, port: PortState,
                 whole: bool) -> list[Status]:
     """Return the status of a bus and those of its devices; whole: with tables and error log."""
     return [bus_status(node, bus, report, port, whole),
-            *(device_status(node, bus, device, report.findings, whole, not port.problem)
-              for device in report.devices)]
+            *(device_status(node, bus, device, report.findings, whole, not port.problem,
+                            _bus_name(bus, port)) for device in report.devices)]
+
+
+def _bus_name(bus: str, port: PortState) -> str:
+    return port.bus or bus or port.port
+
+
+def _hardware_id(node: str, bus: str, device: DeviceReport | None = None) -> str:
+    return hardware_id(node, f'{BUS_HARDWARE}{bus}', f'ID {device.id}' if device else '')
+
+
+def _sick(devices: Iterable[DeviceReport]) -> Pairs:
+    """Spell what is wrong with the worst devices: their own statuses are further down."""
+    sick = sorted((one for one in devices if one.level is not Level.OK),
+                  key=lambda one: -SEVERITY.index(one.level))
+    return [(keys.SICK + one.name, f'{one.level.name.lower()}: {one.message}')
+            for one in sick[:SICK_MAX]]
 
 
 def _models(devices: Iterable[DeviceReport]) -> str:
@@ -161,9 +190,13 @@ def _errors(report: BusReport) -> Pairs:
             for index, error in enumerate(reversed(report.errors))]
 
 
-def device_metrics(report: BusReport) -> list[Metric]:
-    """Return the reply latency of every device, with how much of it the chunks resolve."""
-    return [Metric('reply_latency', 'ms', device.latency.window, device.latency.total,
-                   bus=report.name, device=device.name,
-                   notes=(('resolved (%)', number(round(100 * device.latency.resolved, 1))),))
-            for device in report.devices]
+def timing_metrics(node: str, report: BusReport, port: PortState) -> list[Metric]:
+    """Return those of a bus, and the reply latency of each device, as far as chunks resolve it."""
+    bus = _bus_name(report.name, port)
+    return [*(one._replace(bus_name=bus, hardware_id=_hardware_id(node, bus))
+              for one in report.metrics),
+            *(Metric('reply_latency', 'ms', device.latency.window, device.latency.total,
+                     bus=report.name, device=device.name, bus_name=bus,
+                     hardware_id=_hardware_id(node, bus, device),
+                     notes=(('resolved (%)', number(round(100 * device.latency.resolved, 1))),))
+              for device in report.devices)]

@@ -28,9 +28,9 @@ from servobus.bus.report import ReplyLatency
 from servobus.bus.table import Observed
 from servobus.model.models import Models
 from servobus.monitor import Monitor
-from servobus.status import device_metrics
 from servobus.status import PortState
 from servobus.status import statuses_of
+from servobus.status import timing_metrics
 
 NODE = 'dxl_monitor'
 BRIDGE_PORT = '/dev/ttyAMA0'
@@ -91,10 +91,12 @@ class SyntheticRobot:
     def _statuses(self, time_s, whole):
         statuses = []
         for bus, report in self._reports(time_s):
-            port = PortState(f'/dev/tty{bus or "USB0"}', self.port_problem,
-                             (('Latency timer (ms)', '1'), ('Openings', '1')))
-            statuses += statuses_of(self._node, bus, report, port, whole)
+            statuses += statuses_of(self._node, bus, report, self._port(bus), whole)
         return statuses
+
+    def _port(self, bus):
+        return PortState(f'/dev/tty{bus or "USB0"}', self.port_problem,
+                         (('Latency timer (ms)', '1'), ('Openings', '1')), bus=bus or 'ttyUSB0')
 
     def _reports(self, time_s):
         """Return (bus, report) of all buses; the last ones are kept."""
@@ -179,12 +181,12 @@ class SyntheticRobot:
                       'packet_rate': ('Hz', 3900 + 40 * wave),
                       'error_rate': ('Hz', 0.4 * len(self.lost)),
                       'bus_load': ('%', 42 + 5 * wave)}
-            metrics += [Metric(name, unit, summary(mean, spread), summary(mean, 3 * spread),
-                               bus=bus)
-                        for name, (unit, mean, spread) in window.items()]
-            metrics += [Metric(name, unit, value=float(value), bus=bus)
-                        for name, (unit, value) in single.items()]
-            metrics += [metric._replace(bus=bus) for metric in device_metrics(report)]
+            mine = (*(Metric(name, unit, summary(mean, spread), summary(mean, 3 * spread), bus=bus)
+                      for name, (unit, mean, spread) in window.items()),
+                    *(Metric(name, unit, value=float(value), bus=bus)
+                      for name, (unit, value) in single.items()))
+            metrics += timing_metrics(
+                self._node, report._replace(metrics=mine), self._port(bus))
         return [metric_status(self._node, metric) for metric in metrics]
 
     def bridge(self, time_s):

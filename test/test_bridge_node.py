@@ -173,6 +173,7 @@ def test_timing_and_its_reset(ros, graph, standing, cmd_vel):
     wait(lambda: int(graph.values(write)['since start count']) > 40
          if write in graph.statuses else False)
     assert float(graph.values(write)['mean (ms)']) < 50
+    assert graph.statuses[write].hardware_id == standing.path
     # The window reaches back into the tests before, one of them at 100 Hz.
     assert 10 < wait(lambda: graph.heard['/vel2d/timing/frame_rate_hz'])[-1].data < 110
     assert graph.call(ros.Trigger, '/vel2d_bridge/reset_statistics').success

@@ -19,11 +19,14 @@ from servobus.bus.expected import Expected
 from servobus.bus.report import Counts
 from servobus.bus.report import Error
 from servobus.bus.report import Finding
+from servobus.bus.table import Observed
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 from servobus.status import bus_status
 from servobus.status import device_status
 from servobus.status import PortState
+from servobus.status import statuses_of
+from servobus.status import timing_metrics
 
 ROOT = Path(__file__).parents[1]
 REPORT = Monitor('arm', Models()).report(0)
@@ -74,6 +77,37 @@ def test_a_finding_carries_how_bad_it_is():
     [device] = ONE_DEVICE.devices
     assert device_status('dxl_monitor', '', device, found, False).values[-2:] \
         == [('finding.too_hot', 'let it cool'), ('severity.too_hot', 'error')]
+
+
+def statuses(port, **device):
+    """Return those of a bus with a device that has a temperature, of /diagnostics."""
+    [one] = ONE_DEVICE.devices
+    field = next(field for field in one.model.fields if field.name == 'Present Temperature')
+    seen = (Observed(field, field.decode(bytes([61])), 0.5, 'r'),)
+    report = ONE_DEVICE._replace(devices=(one._replace(observed=seen, **device),))
+    return statuses_of('rover1/dxl_monitor', '', report, port, False)
+
+
+def test_a_hardware_id_says_what_it_is_and_where():
+    port = PortState('/dev/ttyUSB0', '', (), bus='ttyUSB0')
+    bus, device = statuses(port)
+    [*_, load, latency] = timing_metrics('rover1/dxl_monitor', ONE_DEVICE, port)
+    assert bus.hardware_id == load.hardware_id == 'rover1/servo bus ttyUSB0'
+    assert device.hardware_id == latency.hardware_id == 'rover1/servo bus ttyUSB0/ID 3'
+    assert (load.bus, load.bus_name) == ('', 'ttyUSB0')
+
+
+def test_the_short_form_shows_heat():
+    _, device = statuses(PortState('port', '', ()))
+    assert ('Present Temperature (°C)', '61') in device.values
+
+
+def test_the_bus_begins_with_what_is_wrong():
+    bus, _ = statuses(PortState('port', '', ()), level=Level.ERROR, message='no answer')
+    assert bus.values[:3] == [('Port', 'port'), ('State', 'open'),
+                              ('device 003', 'error: no answer')]
+    bus, _ = statuses(PortState('port', 'lost', ()), level=Level.ERROR, message='no answer')
+    assert [key for key, _ in bus.values if key.startswith(keys.SICK)] == []
 
 
 def test_behind_a_closed_port_devices_are_not_called_unasked():

@@ -90,6 +90,18 @@ def test_buses_of_robots_are_told_apart():
     assert (device['robot'], device['bus'], device['id']) == ('fleet/rover1', 'left', 1)
 
 
+@pytest.mark.parametrize(('name', 'bus', 'hardware_id'), [
+    ('r/m: 011', '', 'r/servo bus left/ID 11'), ('r/m: 011', '', 'r/11'),
+    ('r/m: left/011', 'left', 'r/servo bus left/ID 11'), ('r/m: left/011', 'left', 'r/left/11'),
+    ('m: a/b 1/011 knee', 'a/b 1', 'servo bus a/b 1/ID 11')])
+def test_the_bus_of_a_device_in_new_and_old_recordings(name, bus, hardware_id):
+    state = State()
+    pairs = [('Model', 'MX-64'), ('Firmware Version', '1'), ('State', 'connected')]
+    take_one(Status(name, Level.OK, '', hardware_id, pairs), state=state)
+    [device] = state.changes(0)['devices'].values()
+    assert (device['bus'], device['id']) == (bus, 11)
+
+
 def test_statuses_of_others_are_none_of_ours():
     state = State()
     others = [Status('cpu_monitor: usage', Level.OK, 'fine', 'pi', [('Load', '3')]),

@@ -16,9 +16,11 @@ from msg_defs.diagnostics import Metric
 from msg_defs.diagnostics import metric_status
 from msg_defs.diagnostics import number
 from msg_defs.diagnostics import pairs
+from msg_defs.diagnostics import Status
 from msg_defs.diagnostics import status_name
 from msg_defs.diagnostics import topic_names
 from msg_defs.diagnostics import worst
+from msg_defs.diagnostics import worst_first
 from msg_defs.timing import Series
 
 ROWS = yaml.safe_load(
@@ -41,6 +43,12 @@ def test_worst_level_ranks_silence_between_warning_and_error():
     assert worst([Level.OK, Level.WARN, Level.OK]) is Level.WARN
     assert worst([Level.WARN, Level.STALE]) is Level.STALE
     assert worst([Level.ERROR, Level.STALE, Level.OK]) is Level.ERROR
+
+
+def test_the_worst_come_first_and_else_the_order_is_kept():
+    levels = [Level.OK, Level.STALE, Level.WARN, Level.ERROR, Level.WARN]
+    found = worst_first(Status(str(n), level, '', '', []) for n, level in enumerate(levels))
+    assert [one.name for one in found] == ['3', '1', '2', '4', '0']
 
 
 def test_status_names_leave_out_the_bus_of_a_single_bus():
@@ -80,8 +88,9 @@ def series_of(values):
 def test_status_of_a_series():
     series = series_of([1.0, 2.0, 3.0, 4.0])
     metric = Metric('write', 'ms', series.summary(0), series.total())
-    status = metric_status('vel2d_bridge', metric)
-    assert status.name == 'vel2d_bridge: timing/write'
+    status = metric_status('rover1/vel2d_bridge', metric)
+    assert (status.name, status.hardware_id) == ('rover1/vel2d_bridge: timing/write',
+                                                 'rover1/vel2d_bridge')
     assert status.level is Level.OK
     assert status.message == 'p95 4 ms'
     values = dict(status.values)

@@ -188,8 +188,8 @@ def test_settings_files_have_every_parameter_at_its_default(name):
 
 
 def float_topics():
-    text = (ROOT / 'docs/diagnostics.md').read_text()
-    return set(re.findall(r'`((?:vel2d|dxl)/timing/\w+)`', text))
+    text = (ROOT / 'docs/diagnostics.md').read_text().replace('/BUS/', '/ttyUSB0/')
+    return set(re.findall(r'`((?:vel2d|dxl)/timing/[\w/]+)`', text))
 
 
 def test_layouts_plot_topics_that_exist():
@@ -262,17 +262,17 @@ def running(graph, node, complete):
 
 @pytest.mark.ros
 @pytest.mark.realtime(bears=0.5)
-@pytest.mark.parametrize('node, link, fake', [
-    ('vel2d_bridge', 'port', ('mecarover_fakes.fake_mcu',)),
-    ('dxl_monitor', 'ports', ('mecarover_fakes.fake_bus',))])
+@pytest.mark.parametrize('node, link, fake, named', [
+    ('vel2d_bridge', 'port', ('mecarover_fakes.fake_mcu',), ()),
+    ('dxl_monitor', 'ports', ('mecarover_fakes.fake_bus',), ('-p', 'names:=ttyUSB0'))])
 def test_policy_allows_what_a_running_node_uses_and_little_more(
-        graph, tmp_path, node, link, fake):
+        graph, tmp_path, node, link, fake, named):
     publish, subscribe, reply = policy(node)
     optional = {name for name in publish if '/statistics/' in name or '/cycle' in name} | {
         '/vel2d/timing/callback_to_write_ms', '/vel2d/timing/command_period_ms',
         '/vel2d/timing/stamp_age_ms', '/dxl/joint_states', '/clock'}
     with Program(*fake, '--link', str(tmp_path / 'port')), \
-            Program(COMMANDS[node], '--ros-args', '-p', f'{link}:={tmp_path}/port'):
+            Program(COMMANDS[node], '--ros-args', '-p', f'{link}:={tmp_path}/port', *named):
         used_publish, used_subscribe, used_reply = running(
             graph, node, lambda used: publish - optional <= used[0])
     assert used_publish <= publish

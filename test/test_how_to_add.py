@@ -275,8 +275,8 @@ def test_a_topic(copy):
         "                  ('error_rate', 'Hz'", "                  ('look_rate', 'Hz', 3.0),\n"))
     code.change('docs/generate.py', ("    'packet_rate': ", "    'look_rate': 'heard so far',\n"))
     code.change('config/sros2_policy.xml', (
-        '            <topic>dxl/timing/packet_rate_hz</topic>\n',
-        '            <topic>dxl/timing/look_rate_hz</topic>\n'))
+        '            <topic>dxl/timing/ttyUSB0/packet_rate_hz</topic>\n',
+        '            <topic>dxl/timing/ttyUSB0/look_rate_hz</topic>\n'))
     assert 'diagnostics.md' in code.run('-m', 'docs.generate')
     assert 'heard so far' in (code.folder / 'docs' / 'diagnostics.md').read_text()
     assert code.run('-c', """

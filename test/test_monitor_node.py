@@ -97,6 +97,9 @@ def test_the_robot_on_the_topics(tmp_path, heard):
             (status.level[0], values(status)['State']) for message in heard.heard['/diagnostics']
             for status in message.status if status.name == knee])
         assert heard.level('dxl_monitor: 001') == 0
+        wait(lambda: [[status.name for status in message.status][:2]
+                      for message in list(heard.heard['/dxl/diagnostics'])][-1]
+             == ['dxl_monitor: bus', knee])
         wait(lambda: values(heard.statuses[knee])['State'] == 'connected')
         assert 'dxl_monitor: timing/bus_load' in heard.statuses
         assert float(values(heard.statuses['dxl_monitor: timing/bus_load'])['value (%)']) > 0
@@ -109,7 +112,9 @@ def test_two_buses_have_names(tmp_path, heard):
         heard.wait_status('dxl_monitor: left/001', 'connected')
         heard.wait_status('dxl_monitor: right/001', 'connected')
         heard.wait_status('dxl_monitor: bus right', '1 of 1')
-        assert heard.statuses['dxl_monitor: left/001'].hardware_id == 'left/1'
+        assert heard.statuses['dxl_monitor: left/001'].hardware_id == 'servo bus left/ID 1'
+        heard.wait_status('dxl_monitor: timing/left/bus_load')
+        assert heard.statuses['dxl_monitor: timing/left/bus_load'].hardware_id == 'servo bus left'
 
 
 def rights_on(port, pid):

@@ -224,7 +224,8 @@ def publish(ros, metrics, prefix='dxl', buses=(), topics='all'):
 
 
 def test_timing_topics_of_several_buses_with_devices(ros):
-    load = [Metric('bus_load', '%', value=50.0, bus=bus) for bus in ('left arm', 'left-arm')]
+    load = [Metric('bus_load', '%', value=50.0, bus=bus, bus_name=bus)
+            for bus in ('left arm', 'left-arm')]
     node = publish(ros, [*load, metric('reply_latency', bus='left arm', device='011')],
                    buses=['left arm', 'left-arm'])
     assert node.without_events == set(node.types) - {'dxl/timing'}      # the executor's work
@@ -235,6 +236,16 @@ def test_timing_topics_of_several_buses_with_devices(ros):
     }
     names = [item.name for item in node.published['dxl/timing'][0].status]
     assert names[2] == 'dxl_node: timing/left arm/011/reply_latency'
+
+
+def test_timing_topics_of_a_single_bus_are_named_as_those_of_several(ros):
+    node = publish(ros, [Metric('resident_memory', 'MB', value=50.0),
+                         Metric('bus_load', '%', value=50.0, bus_name='left arm')],
+                   buses=['left arm'], topics='headline')
+    assert set(node.types) == {'dxl/timing', 'dxl/timing/resident_memory_mb',
+                               'dxl/timing/left_arm/bus_load_percent'}
+    assert [item.name for item in node.published['dxl/timing'][0].status] == [
+        'dxl_node: timing/resident_memory', 'dxl_node: timing/bus_load']
 
 
 def test_no_timing_topics(ros):

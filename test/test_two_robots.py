@@ -55,7 +55,7 @@ def test_each_status_is_of_one_robot(robots, graph):
     assert len(ours) == 2 * (3 + 1 + 2)
     assert {key for key, kinds in ours.items() if len(kinds) > 1} == set()
     assert len({hardware_id for _, hardware_id in ours}) == 2 * (3 + 2)
-    assert ours['rover2/dxl_monitor: 002', 'rover2/2'] == {(b'\2',)}
+    assert ours['rover2/dxl_monitor: 002', 'rover2/servo bus rover2/ID 2'] == {(b'\2',)}
     [[_, port]] = ours['rover1/vel2d_bridge: link', f'rover1{robots}/mcu_rover1']
     assert port == f'{robots}/mcu_rover1'
 

@@ -25,9 +25,9 @@ from servobus.bus.report import BusReport
 from servobus.errors import UsageError
 from servobus.monitor import Monitor
 from servobus.sources.source import Source
-from servobus.status import device_metrics
 from servobus.status import PortState
 from servobus.status import statuses_of
+from servobus.status import timing_metrics
 
 NODE = 'dxl_monitor'
 REPORT_NS, TIMING_NS = 500_000_000, 1_000_000_000      # as the node does
@@ -66,22 +66,23 @@ class McapRecording:
         if now >= self._next_report:
             self._next_report = now + REPORT_NS
             self._write_reports(now, now + later, [
-                (bus if len(monitors) > 1 else '', self._source.wire(bus).port,
+                (bus if len(monitors) > 1 else '',
+                 PortState(self._source.wire(bus).port, '', (), bus=bus),
                  monitor.report(now)) for bus, monitor in monitors.items()])
         if now >= self._next_joints:
             self._next_joints = now + JOINTS_NS
             self._write_joints(monitors, later)
 
     def _write_reports(self, now: int, wall: int,
-                       reports: Sequence[tuple[str, str, BusReport]]) -> None:
+                       reports: Sequence[tuple[str, PortState, BusReport]]) -> None:
         self._put_statuses('/dxl/diagnostics', [
             status for label, port, report in reports
-            for status in statuses_of(NODE, label, report, PortState(port, '', ()), True)], wall)
+            for status in statuses_of(NODE, label, report, port, True)], wall)
         if now >= self._next_timing:
             self._next_timing = now + TIMING_NS
             self._put_statuses('/dxl/timing', [
-                metric_status(NODE, one) for _, _, report in reports
-                for one in (*report.metrics, *device_metrics(report))], wall)
+                metric_status(NODE, one) for _, port, report in reports
+                for one in timing_metrics(NODE, report, port)], wall)
 
     def _write_joints(self, monitors: Mapping[str, Monitor], later: int) -> None:
         parts = topic_names(list(monitors)) if len(monitors) > 1 else {}
