@@ -15,6 +15,7 @@ from mecarover_dashboard import rows
 from mecarover_dashboard.robot_parts import level_of
 from mecarover_dashboard.state import RowReport
 from mecarover_dashboard.state import State
+from msg_defs.diagnostics import CONNECTED
 from msg_defs.diagnostics import Level
 from msg_defs.diagnostics import SEVERITY
 from msg_defs.diagnostics import worst
@@ -64,17 +65,23 @@ class DeviceLine(NamedTuple):
     def text(self, name_width: int) -> str:
         cells = ''.join(f'  {value or "-":>{width}}' for value, (_, width) in zip(
             self.values, VALUE_COLUMNS, strict=True))
-        return f'{_WORDS[self.level]:6}  {self.name:{name_width}}{cells}  {self.cause}'
+        name = self.name if len(self.name) <= name_width else f'{self.name[:name_width - 1]}\u2026'
+        return f'{_WORDS[self.level]:6}  {name:{name_width}}{cells}'
 
 
+INDENT = ' ' * 8             # of what goes on in another row
 VALUE_COLUMNS = (('rad', 6), ('\u00b0C', 4), ('V', 5), ('load', 6), ('loss %', 6))
-SORTS = {'w': 'worst first', 'i': 'by ID', 'p': 'position', 't': 'temperature', 'v': 'voltage',
+SORTS = {'w': 'worst first', 'i': 'ID', 'p': 'position', 't': 'temperature', 'v': 'voltage',
          'l': 'load', 'm': 'missed'}
 _VALUES = 'ptvlm'                       # the columns, by the key that sorts by them
 
 
-def table(state: State, now_s: float, sort: str = 'w') -> list[str]:
-    """Return a heading and a line for each device, in an order of SORTS; nothing for none."""
+def table(state: State, now_s: float, sort: str = 'w', width: int = 200) -> list[str]:
+    """
+    Return a heading and a line for each device, in an order of SORTS; nothing for none.
+
+    A state that does not fit into `width` is after a line feed.
+    """
     found = [_device_line(report, now_s) for report in state.reports('devices')]
     if not found:
         return []
@@ -84,10 +91,16 @@ def table(state: State, now_s: float, sort: str = 'w') -> list[str]:
         found.sort(key=lambda line: -abs(rows.finite(line.values[at].partition(' ')[0]) or 0.0))
     elif sort == 'w':
         found.sort(key=lambda line: -SEVERITY.index(line.level))
-    width = max(len(line.name) for line in found)
-    head = ''.join(f'  {name:>{width}}' for name, width in VALUE_COLUMNS)
-    return [f'{"":6}  {"device":{width}}{head}  state ({SORTS[sort]})',
-            *(line.text(width) for line in found)]
+    heads = ''.join(f'  {name:>{size}}' for name, size in VALUE_COLUMNS)
+    names = min(max(len(line.name) for line in found), max(8, width - len(INDENT + heads)))
+    return [_joined(f'{INDENT}{"device":{names}}{heads}', f'state ({SORTS[sort]})', width),
+            *(_joined(line.text(names), line.cause, width) for line in found)]
+
+
+def _joined(line: str, cause: str, width: int) -> str:
+    if len(line) + 2 + len(cause) <= width:
+        return f'{line}  {cause}'
+    return line if cause == CONNECTED else f'{line}\n{INDENT}{cause}'
 
 
 def _device_line(report: RowReport, now_s: float) -> DeviceLine:
