@@ -107,6 +107,7 @@ def test_each_state_fits_or_has_a_row_of_its_own():
     state = told(robot)
     heading, *lines = table(state, 100.0, 'w', 59)
     assert heading.endswith(' loss %\n        state (worst first)')
+    assert lines[0].startswith('ERROR   007 left_knee  MX-106 ')
     assert lines[0].endswith('100\n        disconnected: 7 answers missed')
     assert [line.split()[:2] for line in lines[:3]] == [
         ['ERROR', '007'], ['WARN', '009'], ['ok', '001']]
