@@ -75,7 +75,7 @@ class DeviceLine(NamedTuple):
         return f'{_WORDS[self.level]:6}  {name:{name_width}}{values}{loss}'
 
 
-INDENT = ' ' * 8             # of what goes on in another row
+INDENT = ' ' * 8             # second and further rows
 VALUE_COLUMNS = (('rad', 6), ('\u00b0C', 4), ('V', 5), ('load', 7), ('loss %', 6))
 SORTS = {'w': 'worst first', 'i': 'ID', 'p': 'position', 't': 'temperature', 'v': 'voltage',
          'l': 'load', 'm': 'missed'}

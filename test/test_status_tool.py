@@ -113,7 +113,7 @@ def test_each_state_fits_or_has_a_row_of_its_own():
         ['ERROR', '007'], ['WARN', '009'], ['ok', '001']]
     rows = [row for line in lines for row in line.split('\n')]
     assert max(map(len, rows)) == 59
-    assert len(rows) == 24 + 2                     # of what is connected nothing more is said
+    assert len(rows) == 24 + 2                     # 'connected' has none
     assert all('\n' not in line for line in table(state, 100.0, 'w', 120))
 
 
