@@ -64,7 +64,7 @@ def test_a_table_in_a_folder_is_a_model_with_the_numbers_of_the_list(tmp_path):
     assert (model.number, model.protocol) == (4660, '2')
     assert values(model, 126, 'fe ff') == {'Present Current': '-2'}
     assert values(model, 132, 'e8 03 00 00') == {'Present Position (rad)': '-2.14'}
-    assert values(model, 116, 'ff ff ff ff') == {'Goal Position': '4294967295'}    # no unit info
+    assert values(model, 116, 'ff ff ff ff') == {'Goal Position': '-1'}        # no unit info
 
 
 def test_rows_for_the_same_bytes_are_names_of_one_register(tmp_path):

@@ -9,14 +9,17 @@ is the table up to firmware 52. dynamixel.model has the model numbers.
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 import re
 from typing import NamedTuple
 
+from servobus.model.checked_yaml import BUILT_IN
 from servobus.model.checked_yaml import describe
 from servobus.model.checked_yaml import ModelError
 from servobus.model.checked_yaml import Raw
 from servobus.model.checked_yaml import read_file
+from servobus.model.checked_yaml import read_yaml
 from servobus.model.file import ADDRESS_END
 from servobus.model.file import REPEAT_LIMIT
 
@@ -135,8 +138,14 @@ def _field(register: Register, name: str, meaning: Raw, path: Path) -> Raw:
     if register.size not in _SIZES:
         raise ModelError(path, name, f'size is {register.size}', 'use 1, 2, 4 or 8')
     meaning = _BAUD if name == 'Baud Rate' and register.size == 1 else meaning
-    sign = meaning.get('type', 'u')
+    sign = meaning.get('type') or _signs().get(name, 'u')
     return {**meaning, 'at': register.at, 'name': name, 'type': f'{sign}{8 * register.size}'}
+
+
+@cache
+def _signs() -> dict[str, str]:
+    """Return i or u by name, where [unit info] has no line: all series agree with the X series."""
+    return {field['name']: field['type'][0] for field in read_yaml(BUILT_IN / '_x.yaml')['fields']}
 
 
 def _meaning(row: Row, path: Path) -> tuple[str, Raw]:
