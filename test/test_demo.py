@@ -42,6 +42,7 @@ def test_the_table_of_the_demo_fits_a_terminal_and_names_the_boards():
 def test_one_change_of_several_devices_is_one_line_and_the_first_is_none(capsys):
     robot, state = SyntheticRobot(), State()
     watch = DeviceWatch(state)
+    watch._seen[1] = ['expected']
     for waiting in (set(), set(), {8, 9}):
         robot.waiting = waiting
         state.store_message(TABLES, serialise(robot.tables(1.0)), 1.0)

@@ -172,10 +172,12 @@ with StandardStreams('mecarover_status'):
 
 def test_as_json_a_terminal_gets_an_object_a_line():
     ours, theirs = pty.openpty()
-    with subprocess.Popen([sys.executable, '-c', ON_A_TERMINAL, '--json'], cwd=ROOT,
-                          stdout=theirs):
+    with subprocess.Popen([sys.executable, '-c', LEADER + ON_A_TERMINAL, '--json'], cwd=ROOT,
+                          stdin=theirs, stdout=theirs, start_new_session=True):
         os.close(theirs)
-        lines = shown_on(ours).splitlines()
+        with os.fdopen(os.dup(ours)) as terminal:
+            lines = shown_on(ours).splitlines()
+            assert termios.tcgetattr(terminal)[3] & termios.ECHO       # it waits for no key
     assert [json.loads(line)['exit'] for line in lines] == [4, 4]
 
 
