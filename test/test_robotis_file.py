@@ -77,8 +77,7 @@ def test_rows_for_the_same_bytes_are_names_of_one_register(tmp_path):
 def test_indirect_data_are_shown_as_what_they_refer_to(tmp_path):
     model = Models([write(tmp_path)]).get(4660)
     assert [tuple(one) for one in model.indirect] == [(168, 224, 28)]
-    assert model.by_name['Indirect Data Read'] is model.by_name['Indirect Data 7']
-    assert model.by_name['Indirect Address Read'].at == 180
+    assert model.by_name['Indirect Data 28'].at == 251
     table = Table()
     table.store(180, bytes.fromhex('84 00 85 00 86 00 87 00'), 1, READ)
     table.store(230, bytes.fromhex('e8 03 00 00'), 1, READ)
@@ -138,18 +137,19 @@ def test_the_registers_of_an_unknown_servo_do_not_depend_on_it(tmp_path):
 @pytest.mark.parametrize(('name', 'old', 'new', 'said'), [
     ('dynamixel', '4660\tour_arm.model\n4661\tour_arm.model\n', '',
      'our_arm.model: model number: dynamixel.model does not list the file; add a line to '),
-    ('dynamixel', '4660\tour', 'our', 'dynamixel.model: line 2: not a number and a file; correct'),
-    ('dynamixel', '4660', '0x12', "dynamixel.model: line 2: '0x12' is no whole number; correct"),
+    ('dynamixel', '4660\tour', 'our', 'dynamixel.model: line 2: not a number and a file with'),
+    ('dynamixel', '4660', '0x12', "dynamixel.model: line 2: '0x12' is no number; correct"),
     ('dynamixel', '4660', '70000', 'our_arm.model: number in model_numbers is 70000; give'),
     ('our_arm', '[control table]', '[table]', 'our_arm.model: [control table]: missing or empty;'),
     ('our_arm', '7\t1\tID', '7 1 ID', 'our_arm.model: line 10: not an address, a size and a name'),
-    ('our_arm', '7\t1\tID', '7\tone\tID', "our_arm.model: line 10: 'one' is no whole number;"),
+    ('our_arm', '7\t1\tID', '7\tone\tID', "our_arm.model: line 10: 'one' is no number;"),
+    ('our_arm', '7\t1\tID', '7.5\t1\tID', 'our_arm.model: ID: at is 7.5; give a whole number'),
     ('our_arm', '7\t1\tID', '7\t3\tID', 'our_arm.model: ID: size is 3; use 1, 2, 4 or 8'),
     ('our_arm', '7\t1\tID', '7\t2\tID', 'our_arm.model: Baud Rate: at 8 it overlaps ID (7 to 8);'),
     ('our_arm', '7\t1\tID', '70000\t1\tID', 'our_arm.model: ID: at is 70000; give a whole number'),
     ('our_arm', '7\t1\tID', '7\t1\t', "our_arm.model: field at 7: name is ''; give a text"),
     ('our_arm', '\t0.001\t', '\t0\t', 'our_arm.model: Present Position: scale is 0; leave'),
-    ('our_arm', '\t0.001\t', '\tx\t', "our_arm.model: line 3: 'x' is no number; correct it"),
+    ('our_arm', '\t0.001\t', '\tx\t', "our_arm.model: line 3: 'x' is no number; correct"),
     ('our_arm', 'signed\t-3', 'sined\t-3', 'our_arm.model: line 3: not a name, value, unit'),
     ('our_arm', '\t0.001\t', '\tnan\t', 'our_arm.model: Present Position: scale is nan; give'),
 ])

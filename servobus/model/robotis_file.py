@@ -9,6 +9,7 @@ is the table up to firmware 52. dynamixel.model has the model numbers.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 import re
@@ -30,17 +31,33 @@ _HEADINGS = ('address', 'data name', 'name', 'number')
 _SIZES = (1, 2, 4, 8)                # what is longer is a block: it has rows of its own
 _RENAMED = {'Baud Rate (Bus)': 'Baud Rate', 'BUS Watchdog': 'Bus Watchdog',
             'Secondary(Shadow) ID': 'Secondary ID'}
-_INDIRECT = re.compile(r'Indirect (Address|Data)( \d+| Write| Read|)')
-_FIRST_INDIRECT = ('', ' 1', ' Write', ' Read')
+_INDIRECT = re.compile(r'Indirect[ _](Address|Data)([ _](\d+|Write|Read))?')
 _BAUD = {'unit': 'bit/s', 'enum': 'baud_rate'}
-Row = tuple[int, list[str]]          # number of the line, cells
+
+
+class TableRow(NamedTuple):
+    """A line of a file."""
+
+    path: Path
+    line: int
+    cells: list[str]
+
+    def error(self, reason: str) -> ModelError:
+        return ModelError(self.path, f'line {self.line}', reason, 'correct the line')
+
+    def number(self, cell: int) -> float:
+        text = self.cells[cell]
+        try:
+            return int(text) if text.isdecimal() else float(text)
+        except ValueError:
+            raise self.error(f'{describe(text)} is no number') from None
 
 
 class Register(NamedTuple):
     """A row of the control table."""
 
-    at: int
-    size: int
+    at: float
+    size: float
     name: str
 
 
@@ -51,15 +68,14 @@ def is_newest_table(path: Path) -> bool:
         older and path.with_name(older[1] + SUFFIX).exists())
 
 
-def listed_numbers(folder: Path) -> dict[str, list[int]]:
+def listed_numbers(folder: Path) -> dict[str, list[float]]:
     """Return the model numbers of each file; {} if the folder does not list them."""
     path = folder / NUMBERS_FILE
-    found: dict[str, list[int]] = {}
-    for line, row in _sections(path)[''] if path.exists() else ():
-        cells = ' '.join(row).split()
-        if len(cells) != 2:
-            raise ModelError(path, f'line {line}', 'not a number and a file', 'correct the line')
-        found.setdefault(cells[1], []).append(_integer(cells[0], path, line))
+    found: dict[str, list[float]] = {}
+    for row in _sections(path)[''] if path.exists() else ():
+        if len(row.cells) != 2:
+            raise row.error('not a number and a file with a tab between them')
+        found.setdefault(row.cells[1], []).append(row.number(0))
     return found
 
 
@@ -71,11 +87,11 @@ def read_robotis(path: Path) -> Raw:
                          f'add a line to {path.with_name(NUMBERS_FILE)}: the number, a tab, '
                          f'{path.name}')
     newest = _read_table(path)
-    variants = ((_OLDER.fullmatch(one.stem), one) for one in sorted(path.parent.iterdir())
-                if one.suffix == SUFFIX)
+    older = ((_OLDER.fullmatch(one.stem), one) for one in sorted(path.parent.iterdir())
+             if one.suffix == SUFFIX)
     return {'model_numbers': dict.fromkeys(numbers, path.stem.upper().replace('_', '-')),
             'include': '_words', **newest,
-            'firmware': [_older_table(one, int(match[2]), newest) for match, one in variants
+            'firmware': [_older_table(one, int(match[2]), newest) for match, one in older
                          if match and match[1] == path.stem]}
 
 
@@ -86,52 +102,50 @@ def _older_table(path: Path, up_to: int, newest: Raw) -> Raw:
     return {'up_to': up_to, 'without': without, **table}
 
 
-def _sections(path: Path) -> dict[str, list[Row]]:
+def _sections(path: Path) -> dict[str, list[TableRow]]:
     """Return the rows of each section without their headings; '': before the first section."""
     try:
         text = read_file(path).decode('utf-8-sig')
     except UnicodeDecodeError as error:
         raise ModelError(path, '', f'not UTF-8: {error.reason}', 'save it as UTF-8') from None
-    rows: list[Row] = []
+    rows: list[TableRow] = []
     sections = {'': rows}
-    for number, line in enumerate(text.split('\n'), 1):
-        cells = [cell.strip() for cell in line.split('\t')]
-        if line.startswith('['):
-            rows = sections.setdefault(line.strip().casefold(), [])
-        elif line.strip() and cells[0].casefold() not in _HEADINGS:
-            rows.append((number, cells))
+    for line, content in enumerate(text.split('\n'), 1):
+        cells = [cell.strip() for cell in content.split('\t')]
+        if content.startswith('['):
+            rows = sections.setdefault(content.strip().casefold(), [])
+        elif any(cells) and cells[0].casefold() not in _HEADINGS:
+            rows.append(TableRow(path, line, cells))
     return sections
 
 
 def _read_table(path: Path) -> Raw:
     sections = _sections(path)
-    registers = [_register(row, path) for row in sections.get('[control table]', ())]
+    registers = [_register(row) for row in sections.get('[control table]', ())]
     if not registers:
         raise ModelError(path, '[control table]', 'missing or empty', 'add it')
-    meanings = _positions(sections.get('[type info]', ()), path)
-    meanings.update(_meaning(row, path) for row in sections.get('[unit info]', ()))
+    meanings = _positions(sections.get('[type info]', ()))
+    meanings.update(map(_meaning, sections.get('[unit info]', ())))
     indirect = _indirect(registers)
     fields = []
-    names: dict[tuple[int, int], str] = {}     # fields by address and size
+    names: dict[tuple[float, float], str] = {}     # fields by address and size
     aliases: dict[str, str] = {}
     for register in registers:
         at, size, name = register
-        known = _indirect_name(register, indirect) or names.get((at, size))
-        own = known or _RENAMED.get(name, name) + f' ({at})' * (name in aliases)
-        aliases.setdefault(name, own)
-        if known is None and size <= max(_SIZES):
-            names[at, size] = own
+        if size > max(_SIZES) or (indirect and _INDIRECT.fullmatch(name)):
+            continue
+        if (at, size) not in names:
+            own = names[at, size] = _RENAMED.get(name, name) + f' ({at})' * (name in aliases)
             fields.append(_field(register, own, meanings.get(name, {}), path))
+        aliases.setdefault(name, names[at, size])
     return {'fields': fields, 'indirect': indirect, 'aliases': {
         alias: name for alias, name in aliases.items() if alias != name}}
 
 
-def _register(row: Row, path: Path) -> Register:
-    line, cells = row
-    if len(cells) < 3:
-        raise ModelError(path, f'line {line}', 'not an address, a size and a name',
-                         'put a tab between them')
-    return Register(_integer(cells[0], path, line), _integer(cells[1], path, line), cells[2])
+def _register(row: TableRow) -> Register:
+    if len(row.cells) < 3:
+        raise row.error('not an address, a size and a name with tabs between them')
+    return Register(row.number(0), row.number(1), row.cells[2])
 
 
 def _field(register: Register, name: str, meaning: Raw, path: Path) -> Raw:
@@ -148,85 +162,44 @@ def _signs() -> dict[str, str]:
     return {field['name']: field['type'][0] for field in read_yaml(BUILT_IN / '_x.yaml')['fields']}
 
 
-def _meaning(row: Row, path: Path) -> tuple[str, Raw]:
+def _meaning(row: TableRow) -> tuple[str, Raw]:
     """Return the name of a register, and what [unit info] says of it."""
-    line, cells = row
+    cells = row.cells
     if len(cells) < 4 or cells[3] not in ('signed', 'unsigned'):
-        raise ModelError(path, f'line {line}', 'not a name, value, unit and signed or unsigned',
-                         'put a tab between them')
-    name, value, unit, sign = cells[:4]
-    scale, offset = _number(value, path, line), _number((*cells, '0')[4], path, line)
-    meaning: Raw = {'type': 'i' if sign == 'signed' else 'u'}
-    if unit not in ('raw', ''):
-        meaning['unit'] = unit
+        raise row.error('not a name, value, unit and signed or unsigned with tabs between them')
+    meaning: Raw = {'type': 'i' if cells[3] == 'signed' else 'u'}
+    if cells[2] not in ('raw', ''):
+        meaning['unit'] = cells[2]
+    scale, offset = row.number(1), row.number(4) if len(cells) > 4 else 0
     if (scale, offset) != (1, 0):
         meaning.update(scale=scale, offset=offset)
-    return name, meaning
+    return cells[0], meaning
 
 
-def _positions(rows: list[Row] | tuple[()], path: Path) -> dict[str, Raw]:
+def _positions(rows: Iterable[TableRow]) -> dict[str, Raw]:
     """Return what [type info] says of positions: the angle of one count, the count of no angle."""
-    said = {cells[0]: _number(cells[1], path, line) for line, cells in rows if len(cells) > 1}
-    zero = said.get('value_of_zero_radian_position', 0)
-    counts = said.get('value_of_max_radian_position', 0) - zero
-    scale = said.get('max_radian', 0) / counts if counts else 0
+    values = {row.cells[0]: row.number(1) for row in rows if len(row.cells) > 1}
+    zero = values.get('value_of_zero_radian_position', 0)
+    counts = values.get('value_of_max_radian_position', 0) - zero
+    scale = values.get('max_radian', 0) / counts if counts else 0
     meaning = {'type': 'i', 'unit': 'rad', 'scale': scale, 'offset': -zero * scale}
     return dict.fromkeys(('Goal Position', 'Present Position'), meaning) if scale else {}
 
 
 def _indirect(registers: list[Register]) -> list[Raw]:
     """Return the ranges of indirect data: each goes on until there is something else."""
-    places = {_spaced(register.name): register.at for register in registers}
-    first: list[tuple[int, int]] = []
-    for address, data in sorted(
-            (places[f'Indirect Address{end}'], places[f'Indirect Data{end}'])
-            for end in _FIRST_INDIRECT
-            if {f'Indirect Address{end}', f'Indirect Data{end}'} <= places.keys()):
-        if all(address - start != 2 * (data - its_data) for start, its_data in first):
-            first.append((address, data))        # else it is within that range
-    taken = {place for pair in first for place in pair}
-    taken.update(at for name, at in places.items() if not _INDIRECT.fullmatch(name))
+    places = {register.name.replace('_', ' '): register.at for register in registers}
+    pairs = sorted((places[f'Indirect Address{end}'], places[f'Indirect Data{end}'])
+                   for end in ('', ' 1', ' Write', ' Read')
+                   if {f'Indirect Address{end}', f'Indirect Data{end}'} <= places.keys())
+    first = [(address, data) for n, (address, data) in enumerate(pairs)     # others are within
+             if all(address - start != 2 * (data - its_data) for start, its_data in pairs[:n])]
+    taken = sorted({at for name, at in places.items() if not _INDIRECT.fullmatch(name)}.union(
+        *first))
 
-    def room(start: int) -> int:
-        return min((at for at in taken if at > start), default=ADDRESS_END) - start
+    def room(start: float) -> float:
+        return next((at for at in taken if at > start), ADDRESS_END) - start
 
     return [{'address': address, 'data': data,
              'count': min(room(address) // 2, room(data), REPEAT_LIMIT)}
             for address, data in first]
-
-
-def _indirect_name(register: Register, ranges: list[Raw]) -> str | None:
-    """Return the name that a register of these ranges has with us."""
-    match = _INDIRECT.fullmatch(_spaced(register.name))
-    if not match or not ranges:
-        return None
-    if match[2][1:].isdigit():
-        return match[0]
-    size, key = (2, 'address') if match[1] == 'Address' else (1, 'data')
-    before = 0
-    for one in ranges:
-        n, rest = divmod(register.at - one[key], size)
-        if 0 <= n < one['count'] and not rest:
-            return f'Indirect {match[1]} {before + n + 1}'
-        before += one['count']
-    return None
-
-
-def _spaced(name: str) -> str:
-    return name.replace('_', ' ')
-
-
-def _integer(text: str, path: Path, line: int) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        raise ModelError(path, f'line {line}', f'{describe(text)} is no whole number',
-                         'correct it') from None
-
-
-def _number(text: str, path: Path, line: int) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise ModelError(path, f'line {line}', f'{describe(text)} is no number',
-                         'correct it') from None
