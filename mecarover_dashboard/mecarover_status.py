@@ -35,14 +35,13 @@ def _run(arguments: list[str]) -> int:
     if options.source is None:
         raise UsageError('SOURCE: none given, and ROS 2 is not sourced; name a port or a '
                          'recording')
-    if os.path.isfile(options.source) and not sys.stdout.isatty():
+    if os.path.isfile(options.source) and (options.json or not sys.stdout.isatty()):
         options.once = True                    # to play it is for a person
     options.source = [options.source]
     feed, state = Feed(), State()
     feed.out = lambda topic, statuses: state.store_message(topic, statuses, time.monotonic())
     run = make_run(NAME, options, (), feed, at_once=options.once)
-    display = terminal.Display(state, options.wait if options.once else None, options.all,
-                               f'{run.words}: nothing heard; dxl_doctor says why')
+    display = terminal.Display(state, options, f'{run.words}: nothing heard; dxl_doctor says why')
     run.start()
     try:
         run.play(lambda: display.show_state(time.monotonic()))

@@ -7,6 +7,7 @@ Pure; times are monotonic seconds of arrival.
 """
 from __future__ import annotations
 
+from collections.abc import Container
 from collections.abc import Iterator
 from itertools import groupby
 from typing import NamedTuple
@@ -15,7 +16,9 @@ from mecarover_dashboard import rows
 from mecarover_dashboard.robot_parts import level_of
 from mecarover_dashboard.state import RowReport
 from mecarover_dashboard.state import State
+from msg_defs.diagnostics import CONNECTED
 from msg_defs.diagnostics import Level
+from msg_defs.diagnostics import number
 from msg_defs.diagnostics import SEVERITY
 from msg_defs.diagnostics import worst
 from servobus.plain import printable
@@ -54,28 +57,40 @@ def status_lines(state: State, now_s: float,
 
 
 class DeviceLine(NamedTuple):
-    """A device with its values, as text; '' is not known."""
+    """A device with its values, as text; '' is not known. Without any, its model is shown."""
 
     level: Level
     name: str
+    model: str
     values: tuple[str, ...]             # in the order of VALUE_COLUMNS
     cause: str
 
     def text(self, name_width: int) -> str:
-        cells = ''.join(f'  {value or "-":>{width}}' for value, (_, width) in zip(
+        *cells, loss = (f'  {value or "-":>{width}}' for value, (_, width) in zip(
             self.values, VALUE_COLUMNS, strict=True))
-        return f'{_WORDS[self.level]:6}  {self.name:{name_width}}{cells}  {self.cause}'
+        values = ''.join(cells)
+        if not any(self.values[:-1]):
+            values = f'  {self.model[:len(values) - 2]:{len(values) - 2}}'
+        name = self.name if len(self.name) <= name_width else f'{self.name[:name_width - 1]}\u2026'
+        return f'{_WORDS[self.level]:6}  {name:{name_width}}{values}{loss}'
 
 
-VALUE_COLUMNS = (('rad', 6), ('\u00b0C', 4), ('V', 5), ('load', 6), ('loss %', 6))
-SORTS = {'w': 'worst first', 'i': 'by ID', 'p': 'position', 't': 'temperature', 'v': 'voltage',
+INDENT = ' ' * 8             # second and further rows
+VALUE_COLUMNS = (('rad', 6), ('\u00b0C', 4), ('V', 5), ('load', 7), ('loss %', 6))
+SORTS = {'w': 'worst first', 'i': 'ID', 'p': 'position', 't': 'temperature', 'v': 'voltage',
          'l': 'load', 'm': 'missed'}
 _VALUES = 'ptvlm'                       # the columns, by the key that sorts by them
 
 
-def table(state: State, now_s: float, sort: str = 'w') -> list[str]:
-    """Return a heading and a line for each device, in an order of SORTS; nothing for none."""
-    found = [_device_line(report, now_s) for report in state.reports('devices')]
+def table(state: State, now_s: float, sort: str = 'w', width: int = 200,
+          left_out: Container[str] = ()) -> list[str]:
+    """
+    Return a heading and a line for each device, in an order of SORTS; nothing for none.
+
+    A state that does not fit into `width` is after a line feed.
+    """
+    found = [_device_line(report, now_s) for report in state.reports('devices')
+             if report.row_name not in left_out]
     if not found:
         return []
     found.sort(key=lambda line: line.name)
@@ -84,19 +99,30 @@ def table(state: State, now_s: float, sort: str = 'w') -> list[str]:
         found.sort(key=lambda line: -abs(rows.finite(line.values[at].partition(' ')[0]) or 0.0))
     elif sort == 'w':
         found.sort(key=lambda line: -SEVERITY.index(line.level))
-    width = max(len(line.name) for line in found)
-    head = ''.join(f'  {name:>{width}}' for name, width in VALUE_COLUMNS)
-    return [f'{"":6}  {"device":{width}}{head}  state ({SORTS[sort]})',
-            *(line.text(width) for line in found)]
+    heads = ''.join(f'  {name:>{size}}' for name, size in VALUE_COLUMNS)
+    names = min(max(len(line.name) for line in found), max(8, width - len(INDENT + heads)))
+    return [_joined(f'{INDENT}{"device":{names}}{heads}', f'state ({SORTS[sort]})', width),
+            *(_joined(line.text(names), line.cause, width) for line in found)]
+
+
+def _joined(line: str, cause: str, width: int) -> str:
+    if len(line) + 2 + len(cause) <= width:
+        return f'{line}  {cause}'
+    return line if cause == CONNECTED else f'{line}\n{INDENT}{cause}'
 
 
 def _device_line(report: RowReport, now_s: float) -> DeviceLine:
     row, values = report.row, report.values
-    load = f'{rows.calm(values.load)} {values.unit}'.strip()
+    load = f'{_rounded(rows.calm(values.load), 2)} {values.unit}'.strip()
     name = '/'.join(filter(None, (row['robot'], rows.split_name(report.row_name)[1])))
-    return DeviceLine(level_of(row), printable(name, 40), (
-        rows.calm(values.position, 3), values.temperature, rows.calm(values.voltage, 3), load,
+    return DeviceLine(level_of(row), printable(name, 40), row['model'], (
+        _rounded(values.position, 3), values.temperature, rows.calm(values.voltage, 3), load,
         '' if 'quiet_since' in row else row['loss']), _message(row, now_s))
+
+
+def _rounded(text: str, decimals: int) -> str:
+    value = rows.finite(text)
+    return text if value is None else number(round(value, decimals))
 
 
 def _message(row: rows.Row, now_s: float) -> str:

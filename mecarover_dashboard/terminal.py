@@ -3,11 +3,13 @@
 """
 mecarover_status: bridges, buses and devices in a terminal, in place, the worst first.
 
-Without a terminal: a line each for what matters, whenever that changes.
+Without a terminal: a line each for what matters, whenever that changes; or JSON.
 """
 from __future__ import annotations
 
+from argparse import Namespace
 from collections.abc import Sequence
+import json
 import math
 import os
 import sys
@@ -15,8 +17,10 @@ import textwrap
 import time
 
 from mecarover_dashboard.keyboard import Keyboard
+from mecarover_dashboard.snapshot import snapshot
 from mecarover_dashboard.state import State
 from mecarover_dashboard.status_lines import exit_code
+from mecarover_dashboard.status_lines import INDENT
 from mecarover_dashboard.status_lines import screen
 from mecarover_dashboard.status_lines import SORTS
 from mecarover_dashboard.status_lines import status_lines
@@ -33,10 +37,13 @@ SETTLED_S = 1.5             # without a new name: all have come, as reports come
 LEAST_S = 3.5               # discovery takes up to 2.5 s, a report a second
 WAIT_S = 6.0
 SHOW_S = 0.5
+JSON_S = 1.0                # as often as reports come
 NO_REPORT = ('no report on /diagnostics; start the nodes, with the same ROS_DOMAIN_ID, discovery '
              'range and namespace as here')
 _HOME, _CLEAR_LINE, _CLEAR_BELOW = '\033[H', '\033[K', '\033[J'
 _COLOURS = {'ERROR': '\033[31m', 'WARN': '\033[33m'}
+_KEYS = 'arrows: scroll; q: end; sort: ' + ' '.join(
+    f'{key}={what.split()[0]}' for key, what in SORTS.items())
 _STEPS = {'UP': -1, 'DOWN': 1, 'k': -1, 'j': 1, 'PAGE_UP': -10, 'PAGE_DOWN': 10, ' ': 10}
 
 
@@ -47,15 +54,18 @@ class Display:
     Made before ROS starts: what reads stdout is asked for now, a pipe to it comes then.
     """
 
-    def __init__(self, state: State, wait_s: float | None, every_device: bool,
-                 nothing: str = NO_REPORT, least_s: float = 0.0) -> None:
-        """Take the longest wait for all there is (None: show it until the end), the shortest."""
+    def __init__(self, state: State, options: Namespace, nothing: str = NO_REPORT,
+                 least_s: float = 0.0) -> None:
+        """Take the options of make_parser(), and the shortest wait with --once."""
         self._state = state
-        self._wait_s, self._least_s = wait_s, least_s
-        self._every_device = every_device
+        self._wait_s = options.wait if options.once else None     # the longest
+        self._least_s = least_s
+        self._every_device = options.all
+        self._is_json = options.json
         self._nothing = nothing
-        self._terminal = os.dup(sys.stdout.fileno()) if sys.stdout.isatty() else None
-        self._keys = Keyboard(wait_s is None and self._terminal is not None)
+        self._terminal = os.dup(sys.stdout.fileno()) \
+            if sys.stdout.isatty() and not options.json else None
+        self._keys = Keyboard(self._wait_s is None and self._terminal is not None)
         self._has_colours = not os.environ.get('NO_COLOR')
         self._sort = 'w'
         self._top = 0               # the first row shown
@@ -74,17 +84,28 @@ class Display:
             self._sort = key if key in SORTS else self._sort
             self._top += _STEPS.get(key, 0)
             self._shown_s = -math.inf
-        if now_s - self._shown_s >= SHOW_S:
-            self._shown_s = now_s
-            lines = screen(status_lines(
-                self._state, now_s, self._every_device if self._terminal is None else None))
-            if self._terminal is not None:
-                lines += table(self._state, now_s, self._sort)
-                self._paint(lines or [self._nothing], *os.get_terminal_size(self._terminal))
-            elif lines != self._last:       # a file or a pipe gets what is new
-                print('\n'.join([*lines, '']) if lines else self._nothing, flush=True)
-            self._last = lines or [self._nothing]
+        if now_s - self._shown_s < (JSON_S if self._is_json else SHOW_S):
+            return False
+        self._shown_s = now_s
+        if self._is_json:
+            self._print_json(now_s)
+        else:
+            self._show_lines(now_s)
         return False
+
+    def _print_json(self, now_s: float) -> None:
+        print(json.dumps(snapshot(self._state, now_s, time.time())), flush=True)
+
+    def _show_lines(self, now_s: float) -> None:
+        lines = screen(status_lines(
+            self._state, now_s, self._every_device if self._terminal is None else None))
+        if self._terminal is not None:
+            width, height = os.get_terminal_size(self._terminal)
+            lines += table(self._state, now_s, self._sort, width - 1)
+            self._paint(lines or [self._nothing], width, height)
+        elif lines != self._last:       # a file or a pipe gets what is new
+            print('\n'.join([*lines, '']) if lines else self._nothing, flush=True)
+        self._last = lines or [self._nothing]
 
     def close(self) -> None:
         """Give the keyboard back, and go below what was shown."""
@@ -100,7 +121,9 @@ class Display:
             return False
         found = status_lines(self._state, now_s, self._every_device)
         self.code = exit_code(self._state)
-        if found:
+        if self._is_json:
+            self._print_json(now_s)
+        elif found:
             print('\n'.join(screen(found)), flush=True)
         else:
             print(f'{NAME}: {self._nothing}', file=sys.stderr)
@@ -108,20 +131,20 @@ class Display:
 
     def _paint(self, lines: list[str], width: int, height: int) -> None:
         """Write the lines over the last ones, in full: long ones take several rows."""
-        rows = [self._coloured(line, row) for line in lines
-                for row in textwrap.wrap(line, max(20, width - 1), subsequent_indent=' ' * 8)]
-        room = max(1, height - 2)
+        width = max(20, width - 1)
+        rows = [self._coloured(line, row) for line in lines for part in line.split('\n')
+                for row in textwrap.wrap(part, width, subsequent_indent=INDENT)]
+        hint = _KEYS if self._keys.is_on else 'make the terminal larger to see more'
+        longest = f'rows {len(rows)} to {len(rows)} of {len(rows)}; {hint}'
+        room = max(1, height - 1 - len(textwrap.wrap(longest, width)))
+        is_cut = len(rows) > room
         self._top = max(0, min(self._top, len(rows) - room))
         shown = rows[self._top:self._top + room]
-        foot = [f'rows {self._top + 1} to {self._top + len(shown)} of {len(rows)}'
-                if len(rows) > room else '']
-        if self._keys.is_on:
-            foot.append(f'arrows: scroll; {", ".join(SORTS)}: sort; q: end')
-        elif len(rows) > room:
-            foot.append('make the terminal larger to see more')
+        foot = [f'rows {self._top + 1} to {self._top + len(shown)} of {len(rows)}'] * is_cut \
+            + [hint] * (is_cut or self._keys.is_on)
         begin = _HOME if self._last else f'\033[2J{_HOME}'
         text = '\n'.join(row + _CLEAR_LINE for row in shown)
-        last = '; '.join(filter(None, foot))[:width - 1]
+        last = '\n'.join(textwrap.wrap('; '.join(foot), width))
         on_screen(sys.stdout, f'{begin}{text}\n{_CLEAR_BELOW}{last}\r')
 
     def _coloured(self, line: str, row: str) -> str:
@@ -139,11 +162,11 @@ def main(args: Sequence[str] | None = None) -> int:
     except ImportError as error:
         return no_ros(NAME, error)
     state = State()
-    display = Display(state, options.wait if options.once else None, options.all,
-                      least_s=LEAST_S)
+    display = Display(state, options, least_s=LEAST_S)
     try:
-        return run(NAME, lambda: StatusSubscriber(state, display.show_state, not options.once),
-                   arguments) or display.code
+        return run(NAME, lambda: StatusSubscriber(
+            state, display.show_state, options.json or not options.once),
+            arguments) or display.code
     finally:
         display.close()
 
@@ -159,6 +182,8 @@ def make_parser() -> Parser:
     parser.add_argument('--once', action='store_true', help='print the lines once and end')
     parser.add_argument('--all', action='store_true', help='every device, not only those with a '
                         'problem')
+    parser.add_argument('--json', action='store_true', help='for programs: all devices and '
+                        'findings as a JSON object a line, every second; with --once: one')
     parser.add_argument('--wait', type=number(float, 0.1), default=WAIT_S, metavar='S',
                         help='with --once: longest wait for reports (default %(default)g)')
     return parser

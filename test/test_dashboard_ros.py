@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The dashboard as users meet it: a process that hears the real monitor on a fake bus."""
 from importlib import util
+import json
 import re
 import signal
 
@@ -168,3 +169,8 @@ def test_mecarover_status_once_for_scripts(ros, tmp_path):
                          f'__ns:=/{name}') as status:
                 assert status.exit_code() == code, status.text
             assert re.search(line, status.text), status.text
+            with Program('mecarover_dashboard.terminal', '--once', '--json') as status:
+                assert status.exit_code() == code, status.text
+            [found] = json.loads(status.text)['buses']
+            assert (found['robot'], len(found['devices'])) == (name, 3)
+            assert isinstance(found['devices'][0]['position'], float)

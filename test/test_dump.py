@@ -508,6 +508,12 @@ def test_check_models(tmp_path):
     assert dump('--check-models', tmp_path) == f'{tmp_path}: 1 model files, no problem\n'
     good.write_text('model_numbers: {9999: Mine}\nfields:\n  - {at: 0, type: u16}\n')
     assert 'my.yaml' in dump('--check-models', tmp_path, code=1)
+    good.unlink()
+    (tmp_path / 'dynamixel.model').write_text('Number\tName\n9999\tmine.model\n')
+    (tmp_path / 'mine.model').write_text('[control table]\n0\t2\tModel Number\n')
+    assert dump('--check-models', tmp_path) == f'{tmp_path}: 1 model files, no problem\n'
+    (tmp_path / 'mine.model').write_text('[control table]\n0\t3\tModel Number\n')
+    assert 'mine.model: Model Number: size is 3' in dump('--check-models', tmp_path, code=1)
 
 
 def test_the_tables_for_wireshark(tmp_path):

@@ -232,6 +232,12 @@ def test_the_same_rows_in_a_terminal(tmp_path):
     with Program('', capture, '--once', '--all', '--devices', ARM, script=status) as once:
         assert once.exit_code() == 4
     assert once.said('ERROR', '003 ')
+    with Program('', capture, '--json', '--devices', ARM, script=status) as once:
+        assert once.exit_code() == 4
+    [bus] = json.loads(once.text)['buses']
+    assert [one['id'] for one in bus['devices']] == [1, 2, 3, 4, 5, 6]
+    assert bus['devices'][2]['level'] == 'ERROR'
+    assert bus['devices'][0]['voltage'] == 12
 
 
 def test_a_recording_whose_name_is_not_utf_8(tmp_path):

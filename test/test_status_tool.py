@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """mecarover_status: which lines it shows and its exit codes."""
 import fcntl
+import json
 import os
 import pty
 import re
@@ -16,14 +17,17 @@ import pytest
 from synthetic_robot import serialise
 from synthetic_robot import SyntheticRobot
 
+from mecarover_dashboard.snapshot import snapshot
 from mecarover_dashboard.state import OVERVIEW
 from mecarover_dashboard.state import State
+from mecarover_dashboard.state import TABLES
 from mecarover_dashboard.status_lines import exit_code
 from mecarover_dashboard.status_lines import screen
 from mecarover_dashboard.status_lines import status_lines
 from mecarover_dashboard.status_lines import table
 from msg_defs.diagnostics import Level
 from msg_defs.diagnostics import Status
+from servobus.bus.report import Finding
 
 
 def told(*robots, state=None, now_s=100.0):
@@ -97,21 +101,99 @@ def test_nothing_of_others_and_no_control_codes():
     assert all(text.isprintable() for text in screen(status_lines(state, 1.0)))
 
 
+def test_each_state_fits_or_has_a_row_of_its_own():
+    robot = SyntheticRobot()
+    robot.lost, robot.warned = {7}, {9}
+    state = told(robot)
+    heading, *lines = table(state, 100.0, 'w', 59)
+    assert heading.endswith(' loss %\n        state (worst first)')
+    assert lines[0].startswith('ERROR   007 left_knee  MX-106 ')
+    assert lines[0].endswith('100\n        disconnected: 7 answers missed')
+    assert [line.split()[:2] for line in lines[:3]] == [
+        ['ERROR', '007'], ['WARN', '009'], ['ok', '001']]
+    rows = [row for line in lines for row in line.split('\n')]
+    assert max(map(len, rows)) == 59
+    assert len(rows) == 24 + 2                     # 'connected' has none
+    assert all('\n' not in line for line in table(state, 100.0, 'w', 120))
+
+
+def test_a_program_gets_numbers_under_known_names():
+    robot = SyntheticRobot()
+    robot.lost = {7}
+    robot.findings = (Finding('hardware_error', Level.ERROR, 8, 'overheating; let it cool'),)
+    state = told(robot)
+    state.store_message(TABLES, serialise(robot.tables(100.0)), 100.0)
+    found = json.loads(json.dumps(snapshot(state, 100.0, 1.79e9), allow_nan=False))
+    assert (found['time'], found['exit']) == (1.79e9, 4)
+    [bridge], [bus] = found['bridges'], found['buses']
+    assert (bridge['level'], bridge['live'], bridge['robot']) == ('OK', True, '')
+    assert bridge['link']['Port'] == '/dev/ttyAMA0'
+    assert (bus['name'], bus['level'], bus['values']['Devices']) == ('', 'ERROR', 24)
+    assert [one['id'] for one in bus['devices']] == [*range(1, 21), *range(100, 104)]
+    first, lost = bus['devices'][0], bus['devices'][6]
+    assert (first['name'], first['model'], first['level']) == ('001 left_hip_yaw', 'MX-106', 'OK')
+    assert (lost['state'], lost['level'], lost['live']) == ('disconnected', 'ERROR', False)
+    assert lost['position'] is None                # it is not of now
+    numbers = ('firmware', 'answers', 'missed', 'loss', 'latency', 'position', 'temperature',
+               'voltage', 'load')
+    assert {name: first[name] for name in numbers if type(first[name]) not in (int, float)} == {}
+    assert first['unit'] == 'A'
+    assert {(one['rule'], one['level'], one['device']) for one in bus['findings']} == {
+        ('hardware_error', 'ERROR', 8)}
+
+
+def test_a_program_gets_what_is_no_longer_reported_as_stale():
+    state = told(SyntheticRobot({'': ((1, 'MX-64', ''),)}))
+    [bus] = snapshot(state, 110.0, 0)['buses']
+    assert (bus['level'], bus['live'], bus['devices'][0]['level']) == ('STALE', False, 'STALE')
+    assert snapshot(State(), 1.0, 0) == {'time': 0, 'exit': 1, 'bridges': [], 'buses': []}
+
+
+LEADER = """
+import fcntl, termios
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+"""
 ON_A_TERMINAL = """
 import sys
 sys.path.insert(0, 'test')
 from synthetic_robot import serialise, SyntheticRobot
 from mecarover_dashboard.state import OVERVIEW, State
-from mecarover_dashboard.terminal import Display
+from mecarover_dashboard.terminal import Display, make_parser
 from mecarover_serial.standard_streams import StandardStreams
 robot, state = SyntheticRobot(), State()
 robot.lost = {number for number, _, _ in robot.buses['']} - {103}
 state.store_message(OVERVIEW, serialise(robot.overview(1.0)), 1.0)
-display = Display(state, None, False)
+display = Display(state, make_parser().parse_args(sys.argv[1:]))
 with StandardStreams('mecarover_status'):
     display.show_state(1.0)
     display.show_state(3.0)
 """
+
+
+def test_as_json_a_terminal_gets_an_object_a_line():
+    ours, theirs = pty.openpty()
+    with subprocess.Popen([sys.executable, '-c', LEADER + ON_A_TERMINAL, '--json'], cwd=ROOT,
+                          stdin=theirs, stdout=theirs, start_new_session=True):
+        os.close(theirs)
+        with os.fdopen(os.dup(ours)) as terminal:
+            lines = shown_on(ours).splitlines()
+            assert termios.tcgetattr(terminal)[3] & termios.ECHO       # it waits for no key
+    assert [json.loads(line)['exit'] for line in lines] == [4, 4]
+
+
+def test_what_the_keys_do_is_read_at_60_columns():
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack('4H', 24, 60, 0, 0))
+    with subprocess.Popen([sys.executable, '-c', LEADER + ON_A_TERMINAL], cwd=ROOT, stdin=theirs,
+                          stdout=theirs, start_new_session=True):
+        os.close(theirs)
+        text = shown_on(ours)
+    rows = text.split('\033[H')[1].split('\033[J')[1].split('\n')
+    assert max(len(row.strip()) for row in rows) < 60
+    assert ' '.join(' '.join(rows).split()).endswith(
+        'arrows: scroll; q: end; sort: w=worst i=ID p=position t=temperature v=voltage l=load '
+        'm=missed')
+    assert text.split('\033[H')[1].count('\n') < 24
 
 
 def test_on_a_terminal_it_draws_in_place_and_cuts_no_line():

@@ -99,7 +99,7 @@ class DemoRun:
         self._set_points: list[TakenSetPoint] = []
         mcu = os.path.join(folder, 'mcu')
         bus = os.path.join(folder, 'bus')
-        print(f'demo: fake MCU on {mcu}, fake Dynamixel bus on {bus}', flush=True)
+        print(f'demo: ports of the fake MCU and bus: {mcu}, bus', flush=True)
         self._mcu = group.start('mecarover_fakes.fake_mcu', '--link', mcu, '--json')
         self._bridge = group.start('vel2d_bridge.main', '--ros-args', '-p', f'port:={mcu}')
         self._devices = DeviceWatch(operator.state)
@@ -164,7 +164,7 @@ class DemoRun:
     def _load_dashboard(self) -> None:
         """Say where the page is, and load it."""
         self._await(self._address)
-        address = self._address()
+        address = self._devices.page = self._address()
         try:
             with urllib.request.urlopen(address, timeout=READY_S) as page:
                 is_page = '<title>' in page.read().decode()

@@ -69,7 +69,7 @@ def judge(scene: Scene, begin: float, end: float,
                 if begin <= one.stamp <= end and _close(one.velocity, scene.command)]
     if not followed:
         return SceneResult(scene.name, False, 'its set-point never reached the MCU')
-    text = f'reached the MCU after {followed[0].stamp - begin:.2f} s'
+    text = f'at the MCU after {followed[0].stamp - begin:.2f} s'
     if not scene.kill:
         return SceneResult(scene.name, True, text)
     stops = [one for one in set_points if one.stamp > end and one.velocity == STOP]
@@ -77,7 +77,7 @@ def judge(scene: Scene, begin: float, end: float,
         return SceneResult(scene.name, False, 'the MCU still drives')
     after = stops[0].stamp - end
     return SceneResult(scene.name, after <= KILL_BOUND_S,
-                       f'{text}, stopped {after:.2f} s after kill')
+                       f'{text}, stopped in {after:.2f} s')
 
 
 def _judge_stillness(scene: Scene, begin: float, end: float,

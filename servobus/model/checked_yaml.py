@@ -82,11 +82,7 @@ _Loader.add_constructor('tag:yaml.org,2002:int', _Loader.construct_integer)
 
 def read_yaml(path: Path) -> Any:
     """Return what the file holds; ModelError where it cannot be read or is not YAML."""
-    try:
-        text = _content(path)
-    except OSError as error:
-        raise ModelError(path, '', f'cannot be read: {error.strerror}',
-                         'check the file and its permissions') from None
+    text = read_file(path)
     try:
         _check_weight(text)
         return yaml.load(text, _Loader)
@@ -96,6 +92,15 @@ def read_yaml(path: Path) -> Any:
         line = f'line {mark.line + 1}' if mark else ''
         what = getattr(error, 'problem', None) or getattr(error, 'reason', None) or str(error)
         raise ModelError(path, line, f'not YAML: {what}', 'correct the line') from None
+
+
+def read_file(path: Path) -> bytes:
+    """Return the bytes of a model file; ModelError where it cannot be read."""
+    try:
+        return _content(path)
+    except OSError as error:
+        raise ModelError(path, '', f'cannot be read: {error.strerror}',
+                         'check the file and its permissions') from None
 
 
 def _content(path: Path) -> bytes:

@@ -31,6 +31,8 @@ from servobus.model.file import build_fields
 from servobus.model.file import build_indirect
 from servobus.model.file import Context
 from servobus.model.file import FieldBudget
+from servobus.model.robotis_file import read_robotis
+from servobus.model.robotis_file import SUFFIX
 
 FILE_KEYS = {'model_numbers', 'source', 'include', 'without', 'fields', 'words', 'indirect',
              'aliases', 'blocks', 'each', 'firmware', 'torque_constants', 'protocol', 'byte_order'}
@@ -229,7 +231,7 @@ class Layers:
 
 def _outline(path: Path) -> Definition:
     """Return what a file says, without its fields; raises ModelError."""
-    raw = read_yaml(path)
+    raw = read_robotis(path) if path.suffix == SUFFIX else read_yaml(path)
     check = Check(path, '')
     check.mapping(raw, FILE_KEYS)
     numbers = check.names(raw.get('model_numbers', {}), 'model_numbers')

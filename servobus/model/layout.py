@@ -22,6 +22,7 @@ from servobus.model.control_table import Model
 from servobus.model.control_table import UNKNOWN
 from servobus.model.control_table import Value
 from servobus.model.models import Models
+from servobus.model.robotis_file import SUFFIX
 
 Use = tuple[int, int]              # address and size of what a program reads or writes
 
@@ -70,10 +71,11 @@ class Layouts:
         return found
 
     def servos(self) -> list[Model]:
-        """Return all models that are servos: boards have no torque."""
+        """Return the servos with a YAML file: boards have no torque, *.model no access."""
         self._servos = self._servos or [
             model for key in self._models.names() if (model := self._models.get(key)) is not None
-            and {'Torque Enable', 'Goal Position'} <= model.by_name.keys()]
+            and {'Torque Enable', 'Goal Position'} <= model.by_name.keys()
+            and not model.file.endswith(SUFFIX)]
         return self._servos
 
 

@@ -5,13 +5,15 @@ Models: which device has which control table, found in folders of model files.
 
 At the start only the line `model_numbers` of each file is read, so that the built-in models cost
 nothing until a device shows up; folders of the user's are checked in full, because a wrong file
-of theirs must raise_error the start. A user's folder wins over the built-in one, number by number.
+of theirs must stop the start. A user's folder wins over the built-in one, number by number;
+but a table of ROBOTIS (*.model) has no words for codes, and is for numbers that no YAML file has.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 import difflib
+from functools import cache
 from pathlib import Path
 import re
 
@@ -21,6 +23,9 @@ from servobus.model.control_table import Model
 from servobus.model.layers import Layers
 from servobus.model.layers import model_key
 from servobus.model.layers import NUMBER_MASK
+from servobus.model.robotis_file import is_newest_table
+from servobus.model.robotis_file import listed_numbers
+from servobus.model.robotis_file import SUFFIX
 
 _NUMBERS = re.compile(rb'^model_numbers: *\{([^{}#]*)\}', re.MULTILINE)
 _IS_FEETECH = re.compile(rb'^protocol: *feetech *$', re.MULTILINE)
@@ -60,7 +65,9 @@ class Models:
                     raise _twice(path, number, index[number][0])
                 index[number] = path, name
         for number, entry in index.items():
-            self._index.setdefault(number, entry)
+            known = self._index.setdefault(number, entry)
+            if known[0].suffix == SUFFIX != entry[0].suffix:
+                self._index[number] = entry
             self._layers[entry[0]] = layers
 
     def get(self, number: int, firmware: int | None = None) -> Model | None:
@@ -142,13 +149,24 @@ def _check_file(path: Path, layers: Layers, seen: dict[int, Path],
 def model_files(folder: Path) -> list[Path]:
     """List the model files of a folder; ModelError if there is no such folder or no file."""
     try:
-        paths = sorted(path for path in folder.iterdir() if path.suffix in ('.yaml', '.yml'))
+        paths = sorted(path for path in folder.iterdir() if path.suffix in ('.yaml', '.yml') or (
+            path.suffix == SUFFIX and is_newest_table(path)))
     except OSError as error:
         raise ModelError(folder, '', error.strerror or 'unreadable',
                          'give a folder of model files') from None
     if not paths:
-        raise ModelError(folder, '', 'no model files (*.yaml)', 'give a folder of model files')
-    return paths
+        raise ModelError(folder, '', 'no model files (*.yaml, *.model)',
+                         'give a folder of model files')
+    listed = listed_numbers(folder)
+    return [path for path in paths if path.suffix != SUFFIX or path.name in listed
+            or _plain(path.stem) not in _built_in_names()]
+
+
+@cache
+def _built_in_names() -> set[str]:
+    layers = Layers(BUILT_IN, BUILT_IN)
+    return {_plain(name) for path in model_files(BUILT_IN)
+            for name in scan_numbers(path, layers).values()}
 
 
 def scan_numbers(path: Path, layers: Layers) -> dict[int, str]:

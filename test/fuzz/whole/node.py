@@ -82,7 +82,8 @@ class Dashboard:
         self.file = folder / 'history'
         self.recorder, self.version = HistorySampler(), 0
         self.history = HistoryWriter(self.file) if is_on else None
-        self.terminal = terminal.Display(self.state, None, True)
+        self.terminal = terminal.Display(
+            self.state, terminal.make_parser().parse_args(['--all']))
 
     def accept_message(self, topic, message, now_s):
         if self.is_on and topic in TOPICS:
