@@ -27,6 +27,7 @@ from servobus.doctor.case import SPEED_AT_REST
 from servobus.doctor.case import speed_of
 from servobus.doctor.facts import fatal_late_answer
 from servobus.doctor.facts import fatal_wait
+from servobus.doctor.facts import first_of_groups
 from servobus.doctor.facts import is_off
 from servobus.doctor.facts import is_rate_search
 from servobus.doctor.facts import is_watched
@@ -176,7 +177,7 @@ def _waits_for_one(case: Case, missing: list[int]) -> bool:
 
 def _hurries(case: Case, least: int = INCIDENTS_MIN) -> bool:
     """Tell whether the master waits too short a time for most adapters, and answers come late."""
-    return case.count(ev.LATE) >= least and min(
+    return len(first_of_groups(case.incidents(ev.LATE))) >= least and min(
         (one.us for one in case.report.waits), default=ADAPTER_HOLD_US) < ADAPTER_HOLD_US
 
 

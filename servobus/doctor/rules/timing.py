@@ -25,16 +25,17 @@ from msg_defs.units import NS_PER_MS
 from msg_defs.units import NS_PER_S
 from servobus.bus import evidence as ev
 from servobus.bus.report import Cycle
-from servobus.bus.report import D
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import Incident
 from servobus.bus.report import STOLE_REPLIES
 from servobus.doctor.case import Case
 from servobus.doctor.case import key_of
 from servobus.doctor.facts import fatal_late_answer
+from servobus.doctor.facts import first_of_groups
 from servobus.doctor.facts import is_collision
 from servobus.doctor.facts import is_overlaid
 from servobus.doctor.facts import ran_into_answers
+from servobus.doctor.facts import SAME_DELAY_NS
 from servobus.doctor.rhythm import answer_ns
 from servobus.doctor.rhythm import answered_within_ns
 from servobus.doctor.rhythm import EVEN_MAX_SPREAD
@@ -58,7 +59,6 @@ from servobus.doctor.thresholds import BLUR_FACTOR
 from servobus.doctor.thresholds import INCIDENTS_MIN
 from servobus.doctor.thresholds import WINDOW_S
 
-SAME_LATENESS_NS = 3 * NS_PER_MS    # late answers closer than this belong to one
 LOAD_BUSY_PERCENT = 75.0           # wire time: the rest leaves no room for a retry
 LOAD_WINDOW_S = 3.0                # a few cycles, even of a slow master
 RETURN_DELAY_MS = (0.4, 0.7)       # a Return Delay Time of 500 us, as measured
@@ -180,7 +180,7 @@ def impatient_master(case: Case) -> Claims:
     """
     spoilt = [wait.stamp for wait in case.report.waits if wait.is_spoilt]      # asked once more
     again = Counter(code for stamp, code in case.repeats.items()
-                    if not any(0 <= stamp - one < SAME_LATENESS_NS for one in spoilt))
+                    if not any(0 <= stamp - one < SAME_DELAY_NS for one in spoilt))
     again.update(one.detail.instruction for one in _hidden_repeats(case))
     again.update(one.detail.instruction for one in _repeats_into_answers(case))
     # After a stray byte it asks once more.
@@ -276,15 +276,9 @@ def _hidden_repeats(case: Case) -> list[Incident[ev.Code]]:
     Behind a damaged instruction they would be its own answers.
     """
     again = case.incidents(ev.ANSWERED_AGAIN)
-    first = _first_of_groups(again)
+    first = first_of_groups(again)
     return first if len({one.device for one in again}) > 1 \
         and len(first) >= 2 * case.count(ev.DAMAGED_INSTRUCTION) else []
-
-
-def _first_of_groups(incidents: list[Incident[D]]) -> list[Incident[D]]:
-    """Return the first of each group of incidents that are close to one another."""
-    return incidents[:1] + [one for before, one in pairwise(incidents)
-                            if one.stamp - before.stamp > SAME_LATENESS_NS]
 
 
 @Rule(symptoms={'late answers'},
@@ -296,7 +290,7 @@ def late_answers(case: Case) -> Claims:
     Do: lower Return Delay Time, or raise the time-out.
     """
     fatal = fatal_late_answer(case)
-    first = Counter(one.device for one in _first_of_groups(case.incidents(ev.LATE)))
+    first = Counter(one.device for one in first_of_groups(case.incidents(ev.LATE)))
     for number, count in [(fatal.device, 1)] if fatal else first.most_common(1):
         device = case.by_id.get(number)
         if not fatal and (count < INCIDENTS_MIN or (device is not None and (
