@@ -124,7 +124,7 @@ class Dxl1Classifier:
                 found.append(self._classify_packet(frame, stamp, received, side))
                 if self._has_decided:
                     found = self._use_dialect(found, stamp, received, side)
-        if is_noisy:
+        if is_noisy and side != OUT:           # there are no answers
             self._count_first_byte_lost(framer)
         self._process(found, stamp, received, side)
 

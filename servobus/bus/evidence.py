@@ -173,7 +173,7 @@ LEFT_OPEN = IncidentKind[Lateness]('last question open')      # it ended too soo
 _INCIDENTS_KEPT = 1000
 _FREQUENT_APART_NS = 100_000_000  # between two that are kept, where each packet may be one
 _ERRORS_KEPT = 50
-_WAITS_KEPT = 256
+WAITS_KEPT = 256
 NOISE_DATA_END = 63                 # parameters: noise with more of them is no packet
 
 # The lines of the error log; what is not listed here is not an error. {place}: at which
@@ -208,7 +208,7 @@ class Evidence:
     def __init__(self) -> None:
         self.incidents: deque[Incident[Any]] = deque(maxlen=_INCIDENTS_KEPT)
         self._errors: deque[Incident[Any]] = deque(maxlen=_ERRORS_KEPT)
-        self.waits: deque[Wait] = deque(maxlen=_WAITS_KEPT)
+        self.waits: deque[Wait] = deque(maxlen=WAITS_KEPT)
         self.counts: Counter[str] = Counter()          # by kind, since start
         self._kept: dict[str, int] = {}  # stamp of the last that add_frequent() kept
         self.incidents_added = self.waits_added = 0                   # incidents and waits so far

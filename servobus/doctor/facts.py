@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import lru_cache
+from itertools import pairwise
 from math import inf
 from math import isclose
 from math import tau
@@ -18,11 +19,13 @@ from operator import sub
 from typing import NamedTuple
 
 from msg_defs.dxl_instruction import Instruction
+from msg_defs.units import NS_PER_MS
 from msg_defs.units import NS_PER_S
 from servobus.bus import evidence as ev
 from servobus.bus import report as words
 from servobus.bus.report import BusReport
 from servobus.bus.report import Cycle
+from servobus.bus.report import D
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import Incident
 from servobus.bus.report import PROTOCOL_2
@@ -41,6 +44,7 @@ from servobus.model.control_table import Field
 
 LOST_BITS_MIN_SHARE = 0.3          # share of damaged instructions; bits turned over by chance: 0.1
 TAIL_BYTES = 6                     # the CRC is among them, so they are not there by chance
+SAME_DELAY_NS = 3 * NS_PER_MS       # late answers closer than this were delayed by one cause
 ALIVE_MIN_VOLTS = 1.0              # a device with less does not answer: the register is not it
 WATCHED_EVERY_NS = NS_PER_S // 2   # rarer reads are of a program that waits for a motion's end
 PROGRAM_RATES_MAX = 3              # a program sets two and that of the port; more are a search
@@ -158,6 +162,12 @@ def fatal_late_answer(case: Case) -> Incident[ev.Lateness] | None:
         if last is None else [last.stamp - 1000 * last.us]
     return next((one for one in case.incidents(ev.LATE) if case.failed
                  and asked and one.stamp > asked[-1]), None)
+
+
+def first_of_groups(incidents: list[Incident[D]]) -> list[Incident[D]]:
+    """Return the first of each group of incidents that are close: one delay has many answers."""
+    return incidents[:1] + [one for before, one in pairwise(incidents)
+                            if one.stamp - before.stamp > SAME_DELAY_NS]
 
 
 # --- two senders at once -------------------------------------------------------------------------

@@ -25,11 +25,11 @@ from servobus.doctor.facts import is_rate_search
 from servobus.doctor.rule import PORT
 from servobus.doctor.rule import STOP_OTHERS
 from servobus.doctor.rules import BY_NAME
-from servobus.doctor.rules.missing import ADAPTER_HOLD_US
 from servobus.doctor.rules.missing import MISSED_MIN_SHARE
 from servobus.doctor.rules.noise import NOISE_MIN_PACKETS
 from servobus.doctor.rules.noise import NOISE_MIN_SHARE
 from servobus.doctor.symptom import Symptom
+from servobus.doctor.thresholds import ADAPTER_HOLD_US
 from servobus.doctor.thresholds import INCIDENTS_MIN
 
 # Share of all bytes that are no packet: as many are not what damage of a few packets leaves.

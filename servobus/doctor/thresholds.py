@@ -13,3 +13,5 @@ SUPPLY_MIN_DEVICES = 3             # as many have the same trouble: it is their 
 TURN_STEPS = 4096                  # in models of X and MX (e-Manual)
 STILL_MAX_STEPS = 6                # a joint that holds its place is read within so many
 GOAL_FAR_STEPS = 200               # farther than what holds a joint bends
+ADAPTER_HOLD_US = 20_000           # so long an adapter may hold an answer back (latency timer)
+LONG_WAIT_MS = 50                  # a time-out that no sound servo and adapter needs

@@ -27,6 +27,7 @@ from servobus.doctor.case import SPEED_AT_REST
 from servobus.doctor.case import speed_of
 from servobus.doctor.facts import fatal_late_answer
 from servobus.doctor.facts import fatal_wait
+from servobus.doctor.facts import first_of_groups
 from servobus.doctor.facts import is_off
 from servobus.doctor.facts import is_rate_search
 from servobus.doctor.facts import is_watched
@@ -42,9 +43,11 @@ from servobus.doctor.rule import longer_than
 from servobus.doctor.rule import Rule
 from servobus.doctor.rule import share
 from servobus.doctor.symptom import SILENCE
+from servobus.doctor.thresholds import ADAPTER_HOLD_US
 from servobus.doctor.thresholds import GOAL_FAR_STEPS
 from servobus.doctor.thresholds import GONE_S
 from servobus.doctor.thresholds import INCIDENTS_MIN
+from servobus.doctor.thresholds import LONG_WAIT_MS
 from servobus.doctor.thresholds import STILL_MAX_STEPS
 
 AWAY_MIN_MS = 100                  # shorter than any start; longer than an answer or two lost
@@ -53,8 +56,6 @@ RETURN_SETTLED_S = 2.0             # by then a restart has shown
 TICK_TURN_S, TICK_SLACK_S = 32.768, 0.5        # Realtime Tick begins at 0 again (e-Manual)
 MISSED_MIN_SHARE = 0.01            # share of its answers; fewer are lost on a healthy bus too
 LATE_MIN_SHARE = 0.1               # share of its answers; fewer are late by chance
-ADAPTER_HOLD_US = 20_000           # so long an adapter may hold an answer back (latency timer)
-LONG_WAIT_MS = 50                  # a time-out that no sound servo and adapter needs
 ACKS_MISSED_LIMIT = 4              # as `missed_limit`
 GOAL_MOVES_STEPS = 20              # a goal that changes less may be held by friction
 STOPPED_MIN_S = 1.0                # two reports at the usual 2 Hz: one may be before it starts
@@ -176,7 +177,7 @@ def _waits_for_one(case: Case, missing: list[int]) -> bool:
 
 def _hurries(case: Case, least: int = INCIDENTS_MIN) -> bool:
     """Tell whether the master waits too short a time for most adapters, and answers come late."""
-    return case.count(ev.LATE) >= least and min(
+    return len(first_of_groups(case.incidents(ev.LATE))) >= least and min(
         (one.us for one in case.report.waits), default=ADAPTER_HOLD_US) < ADAPTER_HOLD_US
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import lru_cache
 from itertools import takewhile
+from math import sqrt
 import re
 
 from msg_defs.diagnostics import Level
@@ -75,8 +76,9 @@ LOAD_IMPOSSIBLE_PERCENT = 120.0    # wire time that no bus of this rate has
 BURST_NS = NS_PER_S                # a source may hand over so much wire time late
 AFTER_WRITE_S = 0.5                # an acknowledgement and a write to Lock may follow
 TEXT_MIN_BYTES = 16                # in a row: fewer are printable by chance
+ALL_TEXT_MIN_BYTES = 10            # where all that came is text
 TEXT_MIN_SHARE = 0.7               # share of the noise; bytes at a wrong rate have less
-WORDS_MIN_SHARE = 0.4              # share of a text that is letters and digits; of JSON it is half
+WORDS_MIN_SHARE = 0.3              # share of a text that is letters and digits; JSON has few
 TEXT_SHOWN = 24                    # characters
 BOOT_S = 2.0                       # a board starts when its port is opened, and prints so long
 COMMON_RATES = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
@@ -209,9 +211,10 @@ def text(case: Case) -> Claims:
 def first_words(noise: bytes) -> str:
     """Return the first words of a text in the noise, '' where there is none."""
     found = max(_TEXT.findall(noise), key=len, default=b'')
-    if not found and _MODEM.search(noise):
+    text = re.sub(rb'[^%b]' % _CHARACTERS, b'', noise)
+    if not found and (_MODEM.search(noise) or ALL_TEXT_MIN_BYTES <= len(noise) == len(text)):
         found = noise
-    if len(re.sub(rb'[^%b]' % _CHARACTERS, b'', noise)) < TEXT_MIN_SHARE * len(noise) \
+    if len(text) < TEXT_MIN_SHARE * len(noise) \
             or len(_OF_WORDS.findall(found)) < WORDS_MIN_SHARE * len(found):
         return ''
     lines = [line.strip() for line in found.decode('ascii', 'replace').splitlines()]
@@ -487,12 +490,12 @@ def turnaround(case: Case) -> Claims:
         return
     hit = [device for device in case.devices if first.get(device.id, 0) > max(
         INCIDENTS_MIN, TURNAROUND_MIN_SHARE * device.window.answers,
-        FIRST_BYTE_BY_CHANCE * device.window.spoilt)]
+        _first_bytes_by_chance(device.window.spoilt))]
     total = sum(first.values())
     lost = sum(case.by_id[number].window.first_byte_lost for number in first)
-    if not hit or (total - lost <= FIRST_BYTE_BY_CHANCE * case.damage and lost <= case.damage) \
-            or is_overlaid(case):
-        return
+    if not hit or (total - lost <= _first_bytes_by_chance(case.damage) and lost <= case.damage) \
+            or is_overlaid(case) or (case.has_sides and case.count(ev.CUT) >= total):
+        return                         # a program that reads one byte too many cuts it off
     if len(first) > 2 and max(first.values()) < ONE_DEVICE_MIN_SHARE * total:
         answers = sum(_answers_heard(case.by_id[number]) for number in first)
         yield Claim(f'first byte of {share(total, answers)} of the answers damaged, '
@@ -506,6 +509,12 @@ def turnaround(case: Case) -> Claims:
         yield Claim(f'first byte of {share(first[device.id], _answers_heard(device))} of its '
                     'answers damaged: it answers before the line switches; raise its Return Delay '
                     'Time by a step or two', {'answers': first[device.id]}, device=device.id)
+
+
+def _first_bytes_by_chance(damaged: int) -> float:
+    """Return how many first bytes noise hits beside so many damaged packets: rarely more."""
+    usual = FIRST_BYTE_BY_CHANCE * damaged
+    return usual + 2 * sqrt(usual)
 
 
 def _answers_heard(device: DeviceReport) -> int:
@@ -586,7 +595,7 @@ def _most_hit(case: Case) -> DeviceReport | None:
 
 @Rule(onset_s=DAMAGE_ONSET_S,
       symptoms={'damaged answers'},
-      accounts_for={'missed answers', 'absence', 'stray bytes', 'uneven rhythm'})
+      accounts_for={'missed answers', 'absence', 'stray bytes', 'uneven rhythm', 'wrong length'})
 def damaged_answers(case: Case) -> Claims:
     """
     Only its answers are damaged, or bytes that are no packet come in their place.

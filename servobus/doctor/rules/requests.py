@@ -197,6 +197,12 @@ def wrong_packets(case: Case) -> Claims:
                     f'{len(wrong)} packets of the program have a wrong checksum, CRC or Length, '
                     f'as {name_of(code)} to {number:03}: no servo takes them; correct the program',
                     {'packets': len(wrong)})
+    elif report.has_sides and ev.MALFORMED in case.incidents_by_kind \
+            and case.count(ev.MALFORMED) >= INCIDENTS_MIN:
+        code, size = case.incidents(ev.MALFORMED)[-1].detail
+        yield Claim(f'{name_of(code)} with {size} parameter bytes makes no sense: its Length or '
+                    'its data are wrong, and the next packet is lost with it; correct the program',
+                    level=Level.WARN)
     elif report.has_sides and not report.is_answered and sent >= SENT_MIN_BYTES \
             and report.counters['Packet Bytes'] == 0:
         what = 'correct their checksum, CRC or Length' if HEADER in report.noise else \

@@ -24,17 +24,19 @@ from msg_defs.uart import byte_ns
 from msg_defs.units import NS_PER_MS
 from msg_defs.units import NS_PER_S
 from servobus.bus import evidence as ev
+from servobus.bus.evidence import WAITS_KEPT
 from servobus.bus.report import Cycle
-from servobus.bus.report import D
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import Incident
 from servobus.bus.report import STOLE_REPLIES
 from servobus.doctor.case import Case
 from servobus.doctor.case import key_of
 from servobus.doctor.facts import fatal_late_answer
+from servobus.doctor.facts import first_of_groups
 from servobus.doctor.facts import is_collision
 from servobus.doctor.facts import is_overlaid
 from servobus.doctor.facts import ran_into_answers
+from servobus.doctor.facts import SAME_DELAY_NS
 from servobus.doctor.rhythm import answer_ns
 from servobus.doctor.rhythm import answered_within_ns
 from servobus.doctor.rhythm import EVEN_MAX_SPREAD
@@ -54,11 +56,12 @@ from servobus.doctor.rule import Rule
 from servobus.doctor.rule import STOP_OTHERS
 from servobus.doctor.symptom import DAMAGE
 from servobus.doctor.symptom import SILENCE
+from servobus.doctor.thresholds import ADAPTER_HOLD_US
 from servobus.doctor.thresholds import BLUR_FACTOR
 from servobus.doctor.thresholds import INCIDENTS_MIN
+from servobus.doctor.thresholds import LONG_WAIT_MS
 from servobus.doctor.thresholds import WINDOW_S
 
-SAME_LATENESS_NS = 3 * NS_PER_MS    # late answers closer than this belong to one
 LOAD_BUSY_PERCENT = 75.0           # wire time: the rest leaves no room for a retry
 LOAD_WINDOW_S = 3.0                # a few cycles, even of a slow master
 RETURN_DELAY_MS = (0.4, 0.7)       # a Return Delay Time of 500 us, as measured
@@ -81,6 +84,7 @@ HZ_60_NS = NS_PER_S // 60
 HZ_60_MIN_SHARE = 0.7              # share of those gaps
 WAITS_WINDOW_S = 3.0               # a master that waits in vain now
 NO_WAIT_US = 50                    # less than any answer takes on the wire
+LATE_ONE_MAX_SHARE = 0.6           # share of what is late: of more, one device is slow
 FACTORY_DELAY_US = 500             # Return Delay Time as from the factory (e-Manual)
 HASTY_MIN_WAITS = 10               # fewer are those of damage
 HASTY_MIN_SHARE = 0.7              # share of the vain waits
@@ -170,17 +174,20 @@ def _spell_rhythm(cycle: Cycle, period: float) -> str:
 
 @Rule(subject='bus',
       symptoms={'hasty instructions'},
-      accounts_for={*SILENCE, *DAMAGE, 'late answers', 'second answers', 'silent bus',
-                    'no acknowledgements'})
+      accounts_for={*SILENCE, *DAMAGE, 'late answers', 'second answers', 'unasked answers',
+                    'silent bus', 'no acknowledgements', 'absence of several', 'restart',
+                    'joint at rest'})
 def impatient_master(case: Case) -> Claims:
     """
     The master does not wait for the whole answer, or throws answers away unread.
 
     Do: raise its time-out; let it read them.
     """
-    spoilt = [wait.stamp for wait in case.report.waits if wait.is_spoilt]      # asked once more
-    again = Counter(code for stamp, code in case.repeats.items()
-                    if not any(0 <= stamp - one < SAME_LATENESS_NS for one in spoilt))
+    waits = case.report.waits
+    since = waits[0].stamp if len(waits) >= WAITS_KEPT else 0      # why is unknown of older ones
+    spoilt = [wait.stamp for wait in waits if wait.is_spoilt]      # asked once more
+    again = Counter(code for stamp, code in case.repeats.items() if stamp >= since
+                    and not any(0 <= stamp - one < SAME_DELAY_NS for one in spoilt))
     again.update(one.detail.instruction for one in _hidden_repeats(case))
     again.update(one.detail.instruction for one in _repeats_into_answers(case))
     # After a stray byte it asks once more.
@@ -193,9 +200,8 @@ def impatient_master(case: Case) -> Claims:
                   {'repeated': again.total()})
         return
     hasty = _gives_up_at_once(case)
-    if hasty and case.damage >= INCIDENTS_MIN \
-            and any(case.recent_counts(device, WAITS_WINDOW_S).answers
-                    for device in case.devices):
+    if hasty and (not case.report.is_answered or (case.damage >= INCIDENTS_MIN and any(
+            case.recent_counts(device, WAITS_WINDOW_S).answers for device in case.devices))):
         yield Claim('the master does not wait for answers and sends during them: it gives '
                     f'up within {FACTORY_DELAY_US} us, before a servo with factory settings '
                     'answers; raise its time-out', {'given up at once': hasty})
@@ -212,12 +218,36 @@ def impatient_master(case: Case) -> Claims:
                     f'instruction ran into it {times} times in 10 s; let it wait, or use '
                     'Sync Write',
                     {'instructions into an acknowledgement': times})
+    elif late := _answers_after_it_went_on(case):
+        wait = median(one.us for one in case.waits(WINDOW_S)) / 1000
+        yield Claim(f'the program goes on {max(0.0, wait):.0f} ms after it asked, and answers '
+                    f'come later, {late} times in 10 s: let it wait {LONG_WAIT_MS} ms for an '
+                    'answer, and clear its input before it asks',
+                    {'answers after it went on': late})
+
+
+def _answers_after_it_went_on(case: Case) -> int:
+    """
+    Return how often answers came after a wait that is too short for an adapter, else 0.
+
+    Only where they are taken for something else: an answer to another question, or a return.
+    """
+    if ev.LATE not in case.incidents_by_kind and ev.STALE not in case.incidents_by_kind:
+        return 0
+    waits = [one.us for one in case.waits(WINDOW_S) if not one.is_spoilt]
+    late = Counter(one.device for one in first_of_groups(case.incidents(ev.LATE)))
+    times = late.total() + case.count(ev.STALE)
+    others = case.count(ev.SECOND_ANSWER) + case.count(ev.UNASKED) + case.count(ev.RETURNED)
+    if min(len(waits), times, others) < INCIDENTS_MIN or median(waits) >= ADAPTER_HOLD_US:
+        return 0
+    is_of_one = max(late.values(), default=0) > LATE_ONE_MAX_SHARE * times
+    return 0 if is_of_one and len(case.devices) > 1 else times
 
 
 def _gives_up_at_once(case: Case) -> int:
     """Return how many of the last waits ended before any answer could come, 0 if not most."""
     waits = case.waits(WAITS_WINDOW_S)
-    hasty = [one.us for one in waits if not one.is_spoilt]
+    hasty = [one.us for one in waits if not one.is_spoilt and one.instruction not in WRITES]
     if len(hasty) < HASTY_MIN_WAITS or (
             case.has_sides and len(hasty) < HASTY_MIN_SHARE * len(waits)):
         return 0
@@ -276,15 +306,9 @@ def _hidden_repeats(case: Case) -> list[Incident[ev.Code]]:
     Behind a damaged instruction they would be its own answers.
     """
     again = case.incidents(ev.ANSWERED_AGAIN)
-    first = _first_of_groups(again)
+    first = first_of_groups(again)
     return first if len({one.device for one in again}) > 1 \
         and len(first) >= 2 * case.count(ev.DAMAGED_INSTRUCTION) else []
-
-
-def _first_of_groups(incidents: list[Incident[D]]) -> list[Incident[D]]:
-    """Return the first of each group of incidents that are close to one another."""
-    return incidents[:1] + [one for before, one in pairwise(incidents)
-                            if one.stamp - before.stamp > SAME_LATENESS_NS]
 
 
 @Rule(symptoms={'late answers'},
@@ -296,7 +320,7 @@ def late_answers(case: Case) -> Claims:
     Do: lower Return Delay Time, or raise the time-out.
     """
     fatal = fatal_late_answer(case)
-    first = Counter(one.device for one in _first_of_groups(case.incidents(ev.LATE)))
+    first = Counter(one.device for one in first_of_groups(case.incidents(ev.LATE)))
     for number, count in [(fatal.device, 1)] if fatal else first.most_common(1):
         device = case.by_id.get(number)
         if not fatal and (count < INCIDENTS_MIN or (device is not None and (

@@ -19,6 +19,7 @@ from typing import NamedTuple
 from msg_defs.diagnostics import Level
 from servobus.bus.report import CONNECTED
 from servobus.bus.report import DeviceReport
+from servobus.bus.report import Finding
 from servobus.bus.report import MOVED
 from servobus.doctor.facts import is_rate_search
 from servobus.doctor.finding_log import BusSummary
@@ -27,6 +28,7 @@ from servobus.doctor.finding_log import NEEDS_TIMES
 from servobus.doctor.open_symptoms import open_symptoms
 from servobus.doctor.rule import PORT
 from servobus.doctor.rules import accounts_for
+from servobus.doctor.rules import BY_NAME
 from servobus.doctor.states import LISTED_AS
 from servobus.plain import printable
 from servobus.plain_data import bus_data
@@ -219,10 +221,14 @@ def _named(bus: BusSummary) -> set[int | None]:
 
 def _unnamed(bus: BusSummary) -> list[DeviceReport]:
     """Return the devices that are not well, and no finding says why."""
-    if any(one.finding.level is Level.ERROR for one in bus.logged):
+    if any(one.finding.level is Level.ERROR or _explains_loss(one.finding) for one in bus.logged):
         return []                      # that of other devices follows from it, as a rule
     named = _named(bus)
     return [one for one in bus.report.devices if one.level in _CODES and one.id not in named]
+
+
+def _explains_loss(finding: Finding) -> bool:
+    return finding.device is None and 'missed answers' in BY_NAME[finding.rule].accounts_for
 
 
 def _is_slight(device: DeviceReport) -> bool:
