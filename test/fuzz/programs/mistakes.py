@@ -237,7 +237,7 @@ def a_servo_dies(program):
         _some(program).silent = _later(program)
 
 
-@mistake('all_silent', 'no_answer')
+@mistake('all_silent no_answer')
 def the_supply_is_off(program):
     since = program.clock.now if program.chance.random() < 0.5 else _later(program)
     for one in program.bus.servos.values():

@@ -217,6 +217,5 @@ class Bus:
 
     def _status(self, servo, error, data):
         if self.is_2:
-            return encode_2(servo.number, 0x55, bytes((error | servo.alert and 0x80 | error,))
-                            + data)
+            return encode_2(servo.number, 0x55, bytes((error | servo.alert,)) + data)
         return encode_1(servo.number, error | servo.alert, data)
