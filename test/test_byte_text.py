@@ -84,6 +84,16 @@ SHAPES = {
     'coarse times': f'[12:00:01.123] TX {hexed(PING)}\n[12:00:01.125] RX {hexed(PONG)}\n',
     'dates': (f'2026-01-02 12:00:01,123 sent {hexed(PING)}\n'
               f'2026-01-02 12:00:01,125 received {hexed(PONG)}'),
+    'colons': f'TX {PING.hex(":")}\nRX {PONG.hex(":")}\n',
+    'times and colons': (f'[1710412927.123456] {PING.hex(":")}\n'
+                         f'[1710412927.125456] {PONG.hex(":")}'),
+    "Arduino's monitor": f'12:01:07.123 -> {hexed(PING)}\n12:01:07.125 -> {hexed(PONG)}\n',
+    'who to whom': f'Host -> Servo: {hexed(PING)}\nServo -> Host: {hexed(PONG)}\n',
+    'two words a line': f'{PING.hex()}, {PONG.hex()}\n',
+    'a count behind': f'TX: {hexed(PING)} (10 bytes)\nRX: {hexed(PONG)} (14 bytes)\n',
+    'a count before': f'TX [10]: {hexed(PING)}\nRX len=14 {hexed(PONG)}\n',
+    'an ID before': f'TX id 1: {hexed(PING)}\nRX id 1: {hexed(PONG)}\n',
+    'each in brackets': ''.join(f'[{byte:02X}] ' for byte in BOTH),
     'decimal': f'{list(PING)}\n{list(PONG)}\n',
     'Python': f'a {PING!r}\nb {PONG!r}\n',
     'bytearray': f'parse {bytearray(BOTH)!r} failed',
@@ -93,6 +103,9 @@ SHAPES = {
     'socat': (f'> 2026/01/02 12:00:01.000100  length=10 from=0 to=9\n {PING.hex(" ")}\n--\n'
               f'< 2026/01/02 12:00:01.000600  length=14 from=0 to=13\n {PONG.hex(" ")}\n--\n'),
     'strace': STRACE,
+    'strace -e write=5 -e read=5': STRACE.replace(
+        ' = 10\n', f' = 10\n | 00000  {PING.hex(" ")}  ......\n').replace(
+        f' = {len(PONG)}\n', f' = {len(PONG)}\n | 00000  {PONG.hex(" ")}  ......\n'),
     'strace -y -xx': (
         f'write(5</dev/ttyACM0>, "{"".join(f"{chr(92)}x{one:02x}" for one in PING)}", 10) = 10\n'
         f'read(5</dev/ttyACM0>, "{octal(PONG)}", 99) = 14\n'),
@@ -105,9 +118,12 @@ SHAPES = {
                    '"Async Serial","data",{s:.9f},1e-05,0x{b:02X},'),
     'DSView': csv('Id,Time[ns],0:UART: RX/TX', '{n},{ns}.00,{b:02X}'),
 }
-KNOWS_SIDES = ('dates', 'TX and RX', 'TxPacket', 'headlines', 'arrows', 'a fence', 'coarse times',
-               'socat', 'strace', 'strace -y -xx')
-KNOWS_TIMES = {'socat', 'strace', *(one for one in SHAPES if one.startswith(('Logic', 'DSV')))}
+DOUBLED = 'strace -e write=5 -e read=5'
+KNOWS_SIDES = ('colons', 'who to whom', 'a count behind', 'a count before', 'an ID before',
+               DOUBLED, 'dates', 'TX and RX', 'TxPacket', 'headlines', 'arrows', 'a fence',
+               'coarse times', 'socat', 'strace', 'strace -y -xx')
+KNOWS_TIMES = {'socat', 'strace', 'times and colons', DOUBLED,
+               *(one for one in SHAPES if one.startswith(('Logic', 'DSV')))}
 
 
 @pytest.fixture
@@ -144,7 +160,15 @@ def test_what_was_not_used_is_said(run):
 
 def test_doctor_says_nothing_of_times_and_wires(run):
     _, out, err = run(dxl_doctor, SHAPES['coarse times'])
-    assert 'holds no times' in out and 'D+' not in out + err
+    assert 'holds no exact times' in out and 'D+' not in out + err
+
+
+@pytest.mark.parametrize('tool', [dxl_dump, dxl_doctor])
+def test_two_packets_of_the_1_0_family_do_not_show_that(run, tool):
+    pasted = 'FF FF 01 04 02 38 02 BE\nFF FF 01 04 00 D0 07 23\n'
+    _, out, err = run(tool, pasted)
+    assert '--protocol feetech' in ' '.join((out + err).split()) and 'D+' not in out + err
+    assert run(dxl_dump, pasted, '--protocol', 'feetech')[0] == 0
 
 
 @pytest.mark.parametrize(('content', 'said'), [

@@ -64,8 +64,11 @@ OPEN = [
     (heard(never_heard(1), never_heard(2)), None,
      'none of 2 devices answers: no power, another baud rate, or only the master is heard here',
      'listen with `dxl_doctor run -- COMMAND`'),
-    (heard(counters={'Packets': 0, 'Bytes': 20}), None,
-     '20 bytes, but no packet: another baud rate, D+ and D- swapped, or no servo bus',
+    (heard(counters={'Packets': 0, 'Bytes': 63}), None,
+     '63 bytes, but no packet: too few to know Protocol 1.0 or Feetech by, or no servo bus',
+     'add --protocol 1 or --protocol feetech'),
+    (heard(counters={'Packets': 0, 'Bytes': 64}), None,
+     '64 bytes, but no packet: another baud rate, D+ and D- swapped, or no servo bus',
      'listen with `dxl_doctor run -- COMMAND`'),
     (heard(kinds=kinds(UNKNOWN_INSTRUCTION=3)), None,
      '3 instructions of an unknown kind, no answer: an instruction that these servos do not have, '

@@ -35,6 +35,7 @@ from servobus.doctor.thresholds import INCIDENTS_MIN
 # Share of all bytes that are no packet: as many are not what damage of a few packets leaves.
 NOISE_BYTES_MIN_SHARE = 0.05
 NOISE_MIN_BYTES = 30               # three packets
+FEW_BYTES = 64                     # less does not show that it is the 1.0 family
 _LOST = (words.DISCONNECTED, words.EXPECTED, words.ASKED)    # one that waits is not the cause
 
 
@@ -84,7 +85,11 @@ def _symptoms(report: BusReport) -> Iterator[_Symptom]:
     noise = counters.get('Noise Bytes', 0)
     damaged = sum(report.kinds.get(kind, 0) for kind in DAMAGE_KINDS)
     unknown = report.kinds.get(ev.UNKNOWN_INSTRUCTION, 0)
-    if counters['Bytes'] and not counters['Packets'] and report.is_answered:
+    if 0 < counters['Bytes'] < FEW_BYTES and not counters['Packets']:
+        yield _Symptom({'no packets'}, f'{counters["Bytes"]} bytes, but no packet',
+                       'too few to know Protocol 1.0 or Feetech by, or no servo bus',
+                       'add --protocol 1 or --protocol feetech: if that shows packets, it is that')
+    elif counters['Bytes'] and not counters['Packets'] and report.is_answered:
         yield _Symptom({'no packets'}, f'{counters["Bytes"]} bytes, but no packet',
                        'another baud rate, D+ and D- swapped, or no servo bus',
                        'listen with `dxl_doctor run -- COMMAND`, which knows the rate of the '

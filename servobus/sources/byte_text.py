@@ -27,11 +27,18 @@ PACKET_MAX_BYTES, HEADERS_MAX = 1100, 10_000     # looked at for a right packet
 LINE_MIN_NUMBERS = 4               # among words: fewer may be words, or a date
 _NUMBER = r'(?:(?:0x|\\x)[0-9a-f]{1,2}|[0-9a-f]{1,2}|[12]\d\d)(?![0-9a-z.])'
 _NUMBERS = re.compile(rf'(?<![0-9a-z.])(?:{_NUMBER}[\s,;:|\[\](){{}}-]*)+', re.IGNORECASE)
-_JOINED = re.compile(r'(?<![0-9a-z])(?:0x)?((?:[0-9a-f]{2}){6,})(?![0-9a-z])', re.IGNORECASE)
+_WORD = r'(?:0x)?((?:[0-9a-f]{2}){6,})(?![0-9a-z])'
+_JOINED = re.compile(rf'(?<![0-9a-z])(?:{_WORD}[\s,;|]*)+', re.IGNORECASE)
+_WORDS = re.compile(_WORD, re.IGNORECASE)
+# A count or an ID beside the bytes: `(8 bytes)`, `[8]:`, `len=8`, `id 1:`.
+_COUNT = re.compile(r'[\[(] ?\d{1,4} ?(?:bytes?)?[])]:?'
+                    r'|\b(?:len|length|size|id) ?[=:]? ?\d{1,4}\b:?', re.IGNORECASE)
+_REPEATED = re.compile(r' \| [0-9a-f]{5}  ', re.IGNORECASE)      # by strace -e read=3, as a dump
 _DIGITS = re.compile(r'[0-9a-f]{1,3}(?![0-9a-fx])', re.IGNORECASE)
-_TIME = re.compile(r'(?<![\d.])(?:(\d{1,2}):(\d\d):(\d\d)|(?<![-+])(\d{1,10})(?=\.\d{3}))'
+_TIME = re.compile(r'(?<![\w.:])(?:(\d{1,2}):(\d\d):(\d\d)|(?<![-+])(\d{1,10})(?=\.\d{3}))'
                    r'(?:[.,:](\d{1,9}))?(?![\d:])(?: ?s\b)?')
 _DATE = re.compile(r'\b\d{4}[-/.]\d\d[-/.]\d\d[T ]?|\b\d\d[-/.]\d\d[-/.]\d{4}[T ]?')
+_SERVO = re.compile(r'servo|motor|dxl|device|slave', re.IGNORECASE)
 _SIDE = re.compile(r'\b(?:(tx|sent|sending|send|writ|wrote|request|out\b)'
                    r'|(?:rx|recv|receiv|respon|repl|answer|in\b))|(->|>|\u2192)|<-?|\u2190',
                    re.IGNORECASE)
@@ -83,6 +90,9 @@ def read_text(text: str) -> ByteText:
     reader = _LineReader()
     unused = {number: line for number, line in enumerate(text.splitlines(), 1)
               if not reader.accept(line) and line.strip('- \t`')}
+    if not reader.has_words and len({one.side for one in reader.parts}) == 1:
+        # An arrow in each line, as the monitor of Arduino prints, is no side.
+        reader.parts = [one._replace(side=UNKNOWN) for one in reader.parts]
     return ByteText(' and '.join(dict.fromkeys(reader.shapes)), _of_ports(reader), unused)
 
 
@@ -111,6 +121,7 @@ class _LineReader:
         self.shapes: list[str] = []
         self.parts: list[TextBytes] = []
         self.ports = set[str]()    # numbers or paths, as strace prints them
+        self.has_words = False     # that name a side; else arrows do
         self._side = UNKNOWN
         self._time: int | None = None
         self._days = 0
@@ -144,6 +155,8 @@ class _LineReader:
         return True
 
     def _dump(self, line: str) -> bool:
+        if _REPEATED.match(line) and self.ports | {one.file for one in self.parts} - {''}:
+            return True
         found = _DUMP.fullmatch(line.rstrip())
         if found is None:
             return False
@@ -162,7 +175,7 @@ class _LineReader:
             return False
         before = line[:found[0].start()]
         self._add(b''.join(unescaped(one[1] or one[2] or '') for one in found),
-                  _side_in(before), self._time_in(before))
+                  self._side_in(before), self._time_in(before))
         return True
 
     def _sigrok(self, line: str) -> bool:
@@ -174,8 +187,11 @@ class _LineReader:
     def _numbers(self, line: str) -> bool:
         bare = _DATE.sub(lambda one: ' ' * len(one[0]), line)
         bare = _TIME.sub(lambda one: ' ' * len(one[0]), bare)
+        counts = _COUNT.findall(bare)
+        if len(counts) == 1:                   # of more, as `[FF] [01]`, each is a byte
+            bare = _COUNT.sub(lambda one: ' ' * len(one[0]), bare)
         data, at = _bytes_in(bare)
-        side, time = _side_in(bare[:at]), self._time_in(line[:at])
+        side, time = self._side_in(bare[:at]), self._time_in(line[:at])
         if not data:                           # a headline of what follows, as socat -x has
             self._side, self._time = side, time
             return False
@@ -188,6 +204,18 @@ class _LineReader:
     def _add(self, data: bytes, side: str, time: int | None, lost: int = 0,
              file: str = '') -> None:
         self.parts.append(TextBytes(data, side, time, lost, file))
+
+    def _side_in(self, text: str) -> str:
+        found = list(_SIDE.finditer(text))
+        words = [one for one in found if one[0].isalpha()]
+        if not found:
+            return UNKNOWN
+        first = (words or found)[0]
+        is_out = bool(first[1] or first[2])
+        if not words and _SERVO.search(text[:first.start()]):      # `Servo -> Host:`
+            is_out, words = not is_out, [first]
+        self.has_words |= bool(words) or not is_out
+        return OUT if is_out else IN
 
     def _time_in(self, text: str) -> int | None:
         """Return the time that a text says, if that is exact."""
@@ -213,12 +241,6 @@ def unescaped(text: str) -> bytes:
     return _ESCAPE.sub(replace, text).encode('latin-1', 'replace')
 
 
-def _side_in(text: str) -> str:
-    found = list(_SIDE.finditer(text))
-    words = [one for one in found if one[0].isalpha()] or found
-    return UNKNOWN if not words else OUT if words[0][1] or words[0][2] else IN
-
-
 def _bytes_in(line: str) -> tuple[bytes, int]:
     """Return the most bytes in a row that a line shows, and where they begin."""
     data, at, size = b'', len(line), len(line.strip())
@@ -232,8 +254,8 @@ def _bytes_in(line: str) -> tuple[bytes, int]:
 
 def _values(numbers: str) -> bytes:
     """Return the bytes of numbers: decimal if one has three digits or none a letter."""
-    if joined := _JOINED.fullmatch(numbers.strip()):
-        return bytes.fromhex(joined[1])
+    if _JOINED.fullmatch(numbers):
+        return bytes.fromhex(''.join(_WORDS.findall(numbers)))
     digits = _DIGITS.findall(re.sub(r'0x|\\x', ' ', numbers, flags=re.IGNORECASE))
     is_decimal = any(len(one) == 3 for one in digits)
     try:

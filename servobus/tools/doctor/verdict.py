@@ -43,7 +43,7 @@ LOAD_MIN_NS = 2_000_000_000         # the load of a shorter time says nothing
 _CAUSE_IN_STATE = CONNECTED, MOVED     # open_symptoms.py has what is left of the others
 _CODES = {Level.WARN: WARNING, Level.ERROR: ERROR}
 ID = '{:03}'
-_UNTIMED = 'waits and periods: this file holds no times; record with dxl_dump -w FILE'
+_UNTIMED = 'waits and periods: this file holds no exact times; record with dxl_dump -w FILE'
 
 
 class Trouble(NamedTuple):
