@@ -18,6 +18,7 @@ from synthetic_robot import SyntheticRobot
 
 from mecarover_dashboard.state import OVERVIEW
 from mecarover_dashboard.state import State
+from mecarover_dashboard.state import TABLES
 from mecarover_dashboard.status_lines import exit_code
 from mecarover_dashboard.status_lines import screen
 from mecarover_dashboard.status_lines import status_lines
@@ -69,6 +70,17 @@ def test_robots_are_told_apart_and_a_namespace_has_its_own():
     alone = told(*robots, state=State('rover1'))
     assert {line.robot for line in status_lines(alone, 100.0)} == {'rover1'}
     assert exit_code(alone) == 0
+
+
+def test_a_position_that_is_no_angle_has_its_unit():
+    state = State()
+    for number, unit, value in ((1, 'rad', '1608.49'), (2, 'm', '0.0532')):
+        state.store_message(TABLES, serialise([Status(
+            f'dxl_monitor: 00{number}', Level.OK, 'connected', str(number), [
+                ('Model', ''), ('State', 'connected'), (f'Present Position ({unit})', value)])]),
+            100.0)
+    assert [line.split()[2:5] for line in table(state, 100.0)[1:]] == [
+        ['1608.49', '-', '-'], ['0.053', 'm', '-']]
 
 
 def test_what_is_no_longer_reported_is_silent_and_then_gone():
