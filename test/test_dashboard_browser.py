@@ -111,7 +111,9 @@ def test_overview(page):
     assert [tile.split('\n')[0] for tile in tiles] \
         == ['MX-106', 'MX-64', 'BitFoot', 'Bit-Bots IMU', 'Rhoban DXL Board']
     assert page.locator('.cell').count() == page.locator('.servo').count() == 24
-    see(page, '.servo', r'007\s*left_knee\s*-?\d+\u00b0\s*-?[\d.]+ A\s*\d+ \u00b0C\s*[\d.]+ V')
+    see(page, '.servo', r'007\s*left_knee\s*Position\s*-?\d\.\d\d rad\s*Current\s*-?[\d.]+ A\s*'
+        r'Temperature\s*\d+ \u00b0C\s*Voltage\s*[\d.]+ V')
+    see(page, '.servo', r'101\s*left_foot\s*BitFoot \u00b7 0\.1\d? ms$')       # no empty bars
 
 
 def test_a_tile_counts_what_is_connected_and_each_problem(page, robot):
@@ -587,6 +589,51 @@ TOO_SMALL = """() => [...document.querySelectorAll(
 TOO_NARROW = """() => [...document.querySelectorAll('main .devices thead th')]
     .filter((one) => one.checkVisibility() && one.scrollWidth > one.clientWidth)
     .map((one) => `${one.textContent}: ${one.clientWidth} px`)"""
+
+
+ANGLES = [('overview', '.servo', '007.*Position'), ('devices', '.devices tr', '007'),
+          ('device', '.device-fields tr', 'Present Position'), ('device', '.legend', ''),
+          ('signals', '.legend', 'Present Position'),
+          ('signals', '[aria-label=Register]', 'Present Position')]
+
+
+def test_angles_are_in_degrees_or_radians_wherever_they_are_shown(page):
+    for unit, other in (('rad', '\u00b0'), ('\u00b0', 'rad')):
+        see(page, '#angles', '^rad$' if unit == 'rad' else '^deg$')
+        for view, items, text in ANGLES:
+            show(page, view)
+            see(page, items, f'{text}.*{unit}')
+            assert other not in page.locator(items, has_text=re.compile(text)).first.inner_text()\
+                .replace('\u00b0C', ''), (view, unit)
+        see(page, '.legend', r'-0\.\d+ to 0\.\d' if unit == 'rad' else r'-\d\d[\d.]* to \d\d')
+        page.locator('#angles').click()
+        page.reload()                               # it is kept
+    see(page, '#angles', '^rad$')
+
+
+def test_a_value_is_exact_at_256_turns_and_metres_are_no_angle(open_page):
+    turns = [('Present Position (rad)', '1608.49')]
+    gripper = [('Present Position (m)', '0.0532'), ('Min Position Limit (m)', '0'),
+               ('Max Position Limit (m)', '0.1064')]
+    statuses = [Status(f'dxl_monitor: 00{at}', Level.OK, 'connected', str(at), [
+        ('Model', 'Axis'), ('Firmware Version', ''), ('State', 'connected'), *values])
+        for at, values in enumerate((turns, gripper), 1)]
+    bus = Status('dxl_monitor: bus', Level.OK, '2 devices', '', [('Port', '/dev/ttyUSB0')])
+    robot = SimpleNamespace(
+        messages=lambda time_s: [('dxl/diagnostics', serialise([*statuses, bus]))])
+    with Dashboard() as dashboard, Feed(dashboard, robot):
+        page = open_page(dashboard.address)
+        for angle in ('1608.49 rad', '92159.7\u00b0'):
+            see(page, '.servo', f'001.*{angle}')
+            see(page, '.servo', r'002.*0\.053 m')
+            bar = page.locator('.servo', has_text='002').locator('.position i i')
+            assert bar.evaluate('bar => parseFloat(bar.style.left)') == pytest.approx(48, abs=1)
+            show(page, 'devices')
+            see(page, '.devices tr', f'001.*{angle}')
+            see(page, '.devices tr', r'002.*0\.053 m')
+            page.locator('#angles').click()
+            show(page, 'overview')
+        page.context.close()
 
 
 @pytest.mark.parametrize('size', SIZES)
