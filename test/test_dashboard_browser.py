@@ -650,6 +650,30 @@ def test_every_view_fits_and_fingers_find_their_targets(dashboard, robot, open_p
             assert page.evaluate(TOO_SMALL) == [], view
 
 
+CUT = """() => ['#robot', '#machine'].map((one) => document.querySelector(one))
+    .filter((one) => one.textContent && one.checkVisibility())
+    .map(({textContent, scrollWidth, clientWidth, scrollHeight, clientHeight}) =>
+        [textContent, scrollWidth > clientWidth + 1, scrollHeight > clientHeight + 1])"""
+
+
+@pytest.mark.parametrize(('namespace', 'name'), [('rover_of_the_lab', 'rover_of_the_lab'),
+                                                 ('', 'robot')])
+def test_the_name_is_whole_at_200_percent_and_a_wide_window_has_no_empty_half(
+        open_page, namespace, name):
+    robot = SyntheticRobot(namespace=namespace)
+    with Dashboard() as dashboard, Feed(dashboard, robot):
+        page = open_page(dashboard.address)
+        page.set_viewport_size({'width': 640, 'height': 400})
+        see(page, BAR, '24/24')
+        assert page.evaluate(CUT) == [[name, False, False]]
+        page.set_viewport_size({'width': 1920, 'height': 1080})
+        page.locator('.low').wait_for()
+        left, right = (page.locator(one).first.bounding_box()
+                       for one in ('.buses', '.below'))
+        assert right['x'] > left['x'] + left['width']
+        page.context.close()
+
+
 def test_the_whole_overview_fits_the_touch_display(dashboard, robot, open_page):
     page = open_page(dashboard.address, 'touch')
     page.wait_for_selector('.tile')
@@ -686,14 +710,13 @@ def test_accessibility(dashboard, robot, open_page, size):
 @pytest.mark.parametrize(('view', 'items', 'changed'), [
     ('overview', '.servo[data-state=error]', '2 lost'), ('overview', '.findings li', ''),
     ('log', '.findings li', ''), ('log', '.errors li', '2 lost'),
-    ('devices', '.devices tbody tr', '2 lost')])
+    ('devices', '.devices tbody tr', '2 lost'), ('device', '.device-errors li', '')])
 def test_what_moves_can_be_stopped(page, robot, view, items, changed):
     robot.lost, robot.findings = {7}, FINDINGS[:1]
     show(page, view)
-    see(page, items, '007|[Mm]issing termination')
+    see(page, items, '007|[Mm]issing termination|no answer')
     lists = page.locator(items)
-    panel = page.locator('.panel, .bus, main > div', has=lists).last
-    button = panel.get_by_role('button', name=re.compile('^Paused?$')).first
+    button = page.get_by_role('button', name=re.compile('^Paused?$'))       # one for all lists
     button.click()
     before = lists.all_inner_texts()
     robot.lost, robot.findings = {7, 11}, FINDINGS

@@ -39,7 +39,7 @@ export class HistoryPanel {
     this.kinds = h('div', {class: 'choice', role: 'group', ariaLabel: 'Events shown'},
       ...Object.entries(KINDS).map(([one, text]) => h('button', {type: 'button', 'data-kind': one,
         onclick: () => this.#only(one)}, text)));
-    this.pause = new Pause('Events', () => this.update(this.store));
+    this.pause = new Pause('Events, errors', () => this.update(this.store));
     this.saves = ['csv', 'json'].flatMap((format) => [...of ? ['values'] : [], 'events'].map(
       (what) => h('a', {class: 'button small', download: `${what}.${format}`, 'data-what': what,
         'data-format': format}, `${what} as ${format.toUpperCase()}`)));
