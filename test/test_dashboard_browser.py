@@ -1,6 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """The dashboard in a real browser: every view, in four sizes, and what may go wrong around it."""
+from contextlib import closing
 from contextlib import contextmanager
 from itertools import product
 import math
@@ -25,6 +26,8 @@ from synthetic_robot import serialise
 from synthetic_robot import SyntheticRobot
 
 from mecarover_dashboard.history import HistoryWriter
+from mecarover_dashboard.history import Subject
+from mecarover_dashboard.history import Window
 from msg_defs.diagnostics import Level
 from msg_defs.diagnostics import Metric
 from msg_defs.diagnostics import metric_status
@@ -521,6 +524,22 @@ def test_history_of_a_lost_device_shows_what_was_before(open_page, tmp_path):
         assert 'no answer to Read' in download.value.path().read_text()
         page.reload()
         see(page, '.events li', '003: no answer to Read')
+        page.context.close()
+
+
+def test_the_history_of_a_position_is_in_its_unit(open_page, tmp_path):
+    path, begin = tmp_path / 'history.sqlite', int(time.time()) // 10 * 10 - 600
+    with closing(HistoryWriter(path)) as writer:
+        writer.write([Window(begin + at, Subject(f'dxl_monitor: {name}', 'devices', '', 'A', unit),
+                             0, ((value, value), *[None] * 5)) for at in range(0, 300, 10)
+                      for name, unit, value in (('001', 'rad', 1608.49), ('002', 'm', 0.053))], [])
+    with Dashboard(history=path) as dashboard, Feed(dashboard):
+        page = open_page(f'{dashboard.address}#/history/dxl_monitor: 001')
+        see(page, '.legend', r'position\s*1608\.49 rad')
+        page.locator('#angles').click()
+        see(page, '.legend', r'position\s*92159\.7\u00b0')
+        page.goto(f'{dashboard.address}#/history/dxl_monitor: 002')
+        see(page, '.legend', r'position\s*0\.053 m')
         page.context.close()
 
 
