@@ -22,8 +22,8 @@ export const sizeOf = (count) => count <= FEW ? 'few' : count <= SOME ? 'some' :
 /** A value on a scale: {name, text, from, to}, shares of the bar; no bar where there is no scale. */
 const MEASURES = {
   position: ([, , , , position, unit, low, high]) => {
-    const [first, last] = Number(low) < Number(high) ? [low, high]
-      : unit === 'rad' ? [-Math.PI, Math.PI] : [NaN, NaN];
+    const [first, last] = numberOf(low) < numberOf(high) ? [low, high]
+      : unit === 'rad' && Math.abs(position) <= Math.PI ? [-Math.PI, Math.PI] : [NaN, NaN];
     const at = share(position, first, last);
     return {name: 'Position', text: positionText(position, unit), from: at - 0.02, to: at + 0.02};
   },
@@ -39,7 +39,7 @@ const MEASURES = {
     to: share(temperature, COLD, Number(limit) || HOT)}),
   voltage: ([, voltage, , , , , , , , low, high]) => ({name: 'Voltage',
     text: `${short(voltage, 3)} V`, from: 0,
-    to: Number(low) < Number(high) ? share(voltage, low, high) : 0}),
+    to: numberOf(low) < numberOf(high) ? share(voltage, low, high) : 0}),
 };
 const NAMES = Object.keys(MEASURES);
 const PLACES = {position: 4, load: 2, temperature: 0, voltage: 1};
@@ -78,11 +78,10 @@ function showServo(item, device, store, isAlone) {
   if (isSick) say(text, saysMore(device) ? device.message : word);
   set(item, 'data-sick', isSick);
   const isKnown = (name) => Number.isFinite(numberOf(values[PLACES[name]]));
-  about.hidden = isKnown('position');
+  about.hidden = isKnown('position') || !device.live;
   set(item, 'data-board', about.hidden ? null : '');
   if (!about.hidden) {
-    say(about, [device.joint && device.model, !isQuiet(device) && answersOf(device)]
-      .filter(Boolean).join(' \u00b7 '));
+    say(about, [device.joint && device.model, answersOf(device)].filter(Boolean).join(' \u00b7 '));
   }
   const most = item.most = values[3] === '%' ? 100
     : Math.max(item.most ?? 1, Math.abs(numberOf(values[2])) || 0);
