@@ -11,9 +11,10 @@ from aiohttp import web
 
 from mecarover_dashboard.rows import calm
 from mecarover_dashboard.rows import RegisterTable
+from mecarover_dashboard.rows import steady_position
 from mecarover_dashboard.state import State
 
-_Shown = tuple[str, ...]                # temperature, voltage, load, unit, position, limits
+_Shown = tuple[str, ...]        # temperature, voltage, load, unit, position, its unit, limits
 
 
 class Client:
@@ -53,7 +54,7 @@ class Client:
         if not self._wants_values:
             return {}
         now = {name: (one.temperature, calm(one.voltage, 3), calm(one.load, 2), one.unit,
-                      calm(one.position, 3), *one.limits)
+                      steady_position(one.position), one.position_unit, *one.limits)
                for name, one in state.values().items()}
         changed = {name: one for name, one in now.items() if self._values.get(name) != one}
         self._values = now

@@ -58,6 +58,7 @@ class Subject(NamedTuple):
     kind: str                   # a key of VALUES
     robot: str
     unit: str = ''              # `load` is in: % or A
+    position_unit: str = ''     # rad or m
 
 
 class Window(NamedTuple):
@@ -106,7 +107,7 @@ class HistoryWriter:
         except (sqlite3.DatabaseError, DamagedError) as error:
             self._database.close()
             raise DamagedError(str(error)) from error
-        self._sources: dict[str, tuple[int, str]] = {}         # numbers and units
+        self._sources: dict[str, tuple[int, tuple[str, ...]]] = {}     # numbers and units
         self._written: dict[int, tuple[int, _Pairs]] = {}      # the last window of each source
 
     def _prepare(self) -> None:
@@ -122,6 +123,8 @@ class HistoryWriter:
             self._database.executescript(f'BEGIN; {_SCHEMA} COMMIT;')
         elif (found := run('PRAGMA quick_check(1)').fetchone()[0]) != 'ok':
             raise DamagedError(found)
+        if 'position_unit' not in {name for _, name, *_ in run('PRAGMA table_info(sources)')}:
+            run("ALTER TABLE sources ADD COLUMN position_unit TEXT NOT NULL DEFAULT ''")
 
     def close(self) -> None:
         """Close the file."""
@@ -154,13 +157,15 @@ class HistoryWriter:
 
     def _number(self, source: Subject) -> int:
         """Return the number of a source, a new one where it has none."""
-        number, unit = self._sources.get(source.name, (0, ''))
-        if not number or (source.unit and unit != source.unit):
+        number, known = self._sources.get(source.name, (0, ()))
+        units = source[3:]
+        if not number or (any(units) and units != known):
             [[number]] = self._database.execute(
-                'INSERT INTO sources(name, kind, robot, unit) VALUES (?, ?, ?, ?) '
-                'ON CONFLICT(name) DO UPDATE '
-                "SET unit = coalesce(nullif(excluded.unit, ''), unit) RETURNING id", source)
-            self._sources[source.name] = number, source.unit
+                'INSERT INTO sources(name, kind, robot, unit, position_unit) '
+                "VALUES (?, ?, ?, ?, ?) ON CONFLICT(name) DO UPDATE "
+                "SET unit = coalesce(nullif(excluded.unit, ''), unit), position_unit = "
+                "coalesce(nullif(excluded.position_unit, ''), position_unit) RETURNING id", source)
+            self._sources[source.name] = number, units
         return number
 
     def _row(self, window: Window) -> list[int | None]:
@@ -210,7 +215,7 @@ class HistoryReader:
             check_same_thread=False)
         self._database.text_factory = lambda text: printable(text.decode(errors='replace'))
         self._sources = {number: Subject(*rest) for number, *rest in self._database.execute(
-            'SELECT id, name, kind, robot, unit FROM sources')}
+            'SELECT * FROM sources')}       # an old file has no unit of positions
 
     def close(self) -> None:
         """Close the file."""

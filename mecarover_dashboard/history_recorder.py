@@ -230,7 +230,8 @@ class HistorySampler:
 
 
 def _subject(report: RowReport, kind: str) -> Subject:
-    return Subject(report.row_name, kind, report.row['robot'], report.values.unit)
+    return Subject(report.row_name, kind, report.row['robot'], report.values.unit,
+                   report.values.position_unit)
 
 
 def _place(row: Row) -> tuple[str, str | None]:

@@ -152,6 +152,7 @@ def _values_json(reader: HistoryReader, question: Question, most: int) -> dict[s
     for window in reader.windows(question):
         source = sources.setdefault(window.source.name, {
             'kind': window.source.kind, 'robot': window.source.robot, 'unit': window.source.unit,
+            'position_unit': window.source.position_unit,
             'levels': [], 'values': {name: [] for name in VALUES[window.source.kind]}})
         _merge(source, window, window.at // step_s * step_s)
     return {'from': question.from_s, 'to': question.to_s, 'step': step_s, 'sources': sources}
@@ -176,13 +177,14 @@ def _merge(source: dict[str, Any], window: Window, at: int) -> None:
 
 def _values_csv(reader: HistoryReader, question: Question) -> Iterator[list[str]]:
     yield ['time', 'robot', 'name', 'level', 'load unit',
-           *(f'{name} {end}' for name in _CSV_VALUES for end in ('min', 'max'))]
+           *(f'{name} {end}' for name in _CSV_VALUES for end in ('min', 'max')), 'position unit']
     for window in reader.windows(question):
         ranges = dict(zip(VALUES[window.source.kind], window.ranges, strict=True))
         yield [_iso(window.at), _cell(window.source.robot), _cell(window.source.name),
                Level(window.level).name, _cell(window.source.unit),
                *('' if end is None else f'{end:g}'
-                 for name in _CSV_VALUES for end in ranges.get(name) or (None, None))]
+                 for name in _CSV_VALUES for end in ranges.get(name) or (None, None)),
+               _cell(window.source.position_unit)]
 
 
 def _events_json(reader: HistoryReader, question: Question, _: int) -> dict[str, Any]:

@@ -57,17 +57,18 @@ class FieldRow(NamedTuple):
 
 
 class Values(NamedTuple):
-    """Health of a device, as text: rad, °C, V, and load or current in `unit`; '' = not known."""
+    """Health of a device, as text: °C, V, load or current in `unit`; '' = not known."""
 
     position: str
     temperature: str
     voltage: str
     load: str
     unit: str
+    position_unit: str                  # rad; of an axis that does not turn m
     limits: tuple[str, ...] = ()        # position (2), temperature, voltage (2)
 
 
-NOTHING = Values('', '', '', '', '')
+NOTHING = Values('', '', '', '', '', '')
 
 
 class RegisterTable(NamedTuple):
@@ -227,6 +228,12 @@ def calm(text: str, digits: int = 2) -> str:
     return text if value is None else number(float(f'{value:.{digits}g}'))
 
 
+def steady_position(text: str) -> str:
+    """Round a position to 0.001 rad or m, however far it is: servos count many turns."""
+    value = finite(text)
+    return text if value is None else number(round(value, 3))
+
+
 def finite(text: str) -> float | None:
     """Return the number in a text; None for NaN, infinity and other text."""
     try:
@@ -260,14 +267,18 @@ def table(status: AnyStatus, arrived_s: float,
 
 def values(status: AnyStatus) -> Values:
     """Return what the registers of a device say of its health, as far as they were read."""
-    (_, position), (_, temperature), (_, voltage), (key, load) = (
+    (position_unit, position), (_, temperature), (_, voltage), (unit, load) = (
         _first(status, names) for names in _VALUES)
-    return Values(position, temperature, voltage, load, key.rpartition(' (')[2].rstrip(')'),
-                  tuple(_first(status, names)[1] for names in _LIMITS))
+    low, high, *limits = (_first(status, names) for names in _LIMITS)
+    return Values(position, temperature, voltage, load, unit, position_unit, (
+        *(limit if found == position_unit else '' for found, limit in (low, high)),
+        *(limit for _, limit in limits)))
 
 
 def _first(status: AnyStatus, names: tuple[bytes, ...]) -> tuple[str, str]:
-    return next(filter(None, map(status.find, names)), ('', ''))
+    """Return the unit and the value of the first of these registers; '' for none."""
+    key, value = next(filter(None, map(status.find, names)), ('', ''))
+    return key.rpartition(' (')[2].rstrip(')'), value
 
 
 def _steady(when_s: float, before_s: float | None) -> float:

@@ -76,7 +76,7 @@ class DeviceLine(NamedTuple):
 
 
 INDENT = ' ' * 8             # second and further rows
-VALUE_COLUMNS = (('rad', 6), ('\u00b0C', 4), ('V', 5), ('load', 7), ('loss %', 6))
+VALUE_COLUMNS = (('rad', 7), ('\u00b0C', 4), ('V', 5), ('load', 7), ('loss %', 6))
 SORTS = {'w': 'worst first', 'i': 'ID', 'p': 'position', 't': 'temperature', 'v': 'voltage',
          'l': 'load', 'm': 'missed'}
 _VALUES = 'ptvlm'                       # the columns, by the key that sorts by them
@@ -114,9 +114,12 @@ def _joined(line: str, cause: str, width: int) -> str:
 def _device_line(report: RowReport, now_s: float) -> DeviceLine:
     row, values = report.row, report.values
     load = f'{_rounded(rows.calm(values.load), 2)} {values.unit}'.strip()
+    position = rows.steady_position(values.position)
+    if values.position_unit != 'rad':
+        position = f'{position} {values.position_unit}'.strip()
     name = '/'.join(filter(None, (row['robot'], rows.split_name(report.row_name)[1])))
     return DeviceLine(level_of(row), printable(name, 40), row['model'], (
-        _rounded(values.position, 3), values.temperature, rows.calm(values.voltage, 3), load,
+        position, values.temperature, rows.calm(values.voltage, 3), load,
         '' if 'quiet_since' in row else row['loss']), _message(row, now_s))
 
 

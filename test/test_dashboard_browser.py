@@ -1,6 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """The dashboard in a real browser: every view, in four sizes, and what may go wrong around it."""
+from contextlib import closing
 from contextlib import contextmanager
 from itertools import product
 import math
@@ -25,6 +26,8 @@ from synthetic_robot import serialise
 from synthetic_robot import SyntheticRobot
 
 from mecarover_dashboard.history import HistoryWriter
+from mecarover_dashboard.history import Subject
+from mecarover_dashboard.history import Window
 from msg_defs.diagnostics import Level
 from msg_defs.diagnostics import Metric
 from msg_defs.diagnostics import metric_status
@@ -111,7 +114,9 @@ def test_overview(page):
     assert [tile.split('\n')[0] for tile in tiles] \
         == ['MX-106', 'MX-64', 'BitFoot', 'Bit-Bots IMU', 'Rhoban DXL Board']
     assert page.locator('.cell').count() == page.locator('.servo').count() == 24
-    see(page, '.servo', r'007\s*left_knee\s*-?\d+\u00b0\s*-?[\d.]+ A\s*\d+ \u00b0C\s*[\d.]+ V')
+    see(page, '.servo', r'007\s*left_knee\s*Position\s*-?\d\.\d\d rad\s*Current\s*-?[\d.]+ A\s*'
+        r'Temperature\s*\d+ \u00b0C\s*Voltage\s*[\d.]+ V')
+    see(page, '.servo', r'101\s*left_foot\s*BitFoot \u00b7 0\.1\d? ms$')       # no empty bars
 
 
 def test_a_tile_counts_what_is_connected_and_each_problem(page, robot):
@@ -132,7 +137,8 @@ def test_what_follows_from_a_silent_servo_is_one_line(page, robot):
     robot.waiting = {8, 9, 10}
     robot.lost = {7}
     see(page, '.alert:visible', '008, 009, 010.*asked but not served')
-    assert page.locator('.servo[data-state=error]').count() == 1
+    [lost] = page.locator('.servo[data-state=error]').all_inner_texts()
+    assert lost.split() == ['007', 'left_knee', 'disconnected:', '7', 'answers', 'missed']
     assert page.locator('.servo').count() == 24 - 3
     assert page.locator('.alert:visible').count() == 1
 
@@ -522,6 +528,22 @@ def test_history_of_a_lost_device_shows_what_was_before(open_page, tmp_path):
         page.context.close()
 
 
+def test_the_history_of_a_position_is_in_its_unit(open_page, tmp_path):
+    path, begin = tmp_path / 'history.sqlite', int(time.time()) // 10 * 10 - 600
+    with closing(HistoryWriter(path)) as writer:
+        writer.write([Window(begin + at, Subject(f'dxl_monitor: {name}', 'devices', '', 'A', unit),
+                             0, ((value, value), *[None] * 5)) for at in range(0, 300, 10)
+                      for name, unit, value in (('001', 'rad', 1608.49), ('002', 'm', 0.053))], [])
+    with Dashboard(history=path) as dashboard, Feed(dashboard):
+        page = open_page(f'{dashboard.address}#/history/dxl_monitor: 001')
+        see(page, '.legend', r'position\s*1608\.49 rad')
+        page.locator('#angles').click()
+        see(page, '.legend', r'position\s*92159\.7\u00b0')
+        page.goto(f'{dashboard.address}#/history/dxl_monitor: 002')
+        see(page, '.legend', r'position\s*0\.053 m')
+        page.context.close()
+
+
 def test_bridge(page, robot):
     show(page, 'bridge')
     see(page, '.axes', 'driving[\\s\\S]*0.32[\\s\\S]*0.11[\\s\\S]*0.60')
@@ -589,6 +611,52 @@ TOO_NARROW = """() => [...document.querySelectorAll('main .devices thead th')]
     .map((one) => `${one.textContent}: ${one.clientWidth} px`)"""
 
 
+ANGLES = [('overview', '.servo', '007.*Position'), ('devices', '.devices tr', '007'),
+          ('device', '.device-fields tr', 'Present Position'), ('device', '.legend', ''),
+          ('signals', '.legend', 'Present Position'),
+          ('signals', '[aria-label=Register]', 'Present Position')]
+
+
+def test_angles_are_in_degrees_or_radians_wherever_they_are_shown(page):
+    for unit, other in (('rad', '\u00b0'), ('\u00b0', 'rad')):
+        see(page, '#angles', '^rad$' if unit == 'rad' else '^deg$')
+        for view, items, text in ANGLES:
+            show(page, view)
+            see(page, items, f'{text}.*{unit}')
+            assert other not in page.locator(items, has_text=re.compile(text)).first.inner_text()\
+                .replace('\u00b0C', ''), (view, unit)
+        see(page, '.legend', r'-0\.\d+ to 0\.\d' if unit == 'rad' else r'-\d\d[\d.]* to \d\d')
+        page.locator('#angles').click()
+        page.reload()                               # it is kept
+    see(page, '#angles', '^rad$')
+
+
+def test_a_value_is_exact_at_256_turns_and_metres_are_no_angle(open_page):
+    turns = [('Present Position (rad)', '1608.49'), ('Max Position Limit (rad)', '3.14')]
+    gripper = [('Present Position (m)', '0.0532'), ('Min Position Limit (m)', '0'),
+               ('Max Position Limit (m)', '0.1064')]
+    statuses = [Status(f'dxl_monitor: 00{at}', Level.OK, 'connected', str(at), [
+        ('Model', 'Axis'), ('Firmware Version', ''), ('State', 'connected'), *values])
+        for at, values in enumerate((turns, gripper), 1)]
+    bus = Status('dxl_monitor: bus', Level.OK, '2 devices', '', [('Port', '/dev/ttyUSB0')])
+    robot = SimpleNamespace(
+        messages=lambda time_s: [('dxl/diagnostics', serialise([*statuses, bus]))])
+    with Dashboard() as dashboard, Feed(dashboard, robot):
+        page = open_page(dashboard.address)
+        for angle in ('1608.49 rad', '92159.7\u00b0'):
+            see(page, '.servo', f'001.*{angle}')
+            see(page, '.servo', r'002.*0\.053 m')
+            assert page.locator('.servo', has_text='001').locator('.position i').first.is_hidden()
+            bar = page.locator('.servo', has_text='002').locator('.position i i')
+            assert bar.evaluate('bar => parseFloat(bar.style.left)') == pytest.approx(48, abs=1)
+            show(page, 'devices')
+            see(page, '.devices tr', f'001.*{angle}')
+            see(page, '.devices tr', r'002.*0\.053 m')
+            page.locator('#angles').click()
+            show(page, 'overview')
+        page.context.close()
+
+
 @pytest.mark.parametrize('size', SIZES)
 def test_every_view_fits_and_fingers_find_their_targets(dashboard, robot, open_page, size):
     robot.lost, robot.warned, robot.findings = {7, 11}, {14}, FINDINGS
@@ -601,6 +669,33 @@ def test_every_view_fits_and_fingers_find_their_targets(dashboard, robot, open_p
         assert page.evaluate(TOO_NARROW) == [], view
         if size != 'desktop':
             assert page.evaluate(TOO_SMALL) == [], view
+
+
+CUT = """() => ['#robot', '#machine', '.top'].map((one) => document.querySelector(one))
+    .filter((one) => one.textContent && one.checkVisibility())
+    .filter(({scrollWidth, clientWidth, scrollHeight, clientHeight}) =>
+        scrollWidth > clientWidth + 1 || scrollHeight > clientHeight + 1)
+    .map((one) => one.id)"""
+
+
+@pytest.mark.parametrize(('namespace', 'name'), [('rover_of_the_lab', 'rover_of_the_lab'),
+                                                 ('', 'robot')])
+def test_the_name_is_whole_at_200_percent_and_a_wide_window_has_no_empty_half(
+        open_page, namespace, name):
+    robot = SyntheticRobot(namespace=namespace)
+    with Dashboard() as dashboard, Feed(dashboard, robot):
+        page = open_page(dashboard.address, 'panel')
+        see(page, BAR, '24/24')
+        for width in (640, 800, 900, 1024, 1280):
+            page.set_viewport_size({'width': width, 'height': 600})
+            see(page, '#machine:visible, #robot:visible', name)
+            assert page.evaluate(CUT) == [], width
+        page.set_viewport_size({'width': 1920, 'height': 1080})
+        page.locator('.low').wait_for()
+        left, right = (page.locator(one).first.bounding_box()
+                       for one in ('.buses', '.below'))
+        assert right['x'] > left['x'] + left['width']
+        page.context.close()
 
 
 def test_the_whole_overview_fits_the_touch_display(dashboard, robot, open_page):
@@ -639,14 +734,13 @@ def test_accessibility(dashboard, robot, open_page, size):
 @pytest.mark.parametrize(('view', 'items', 'changed'), [
     ('overview', '.servo[data-state=error]', '2 lost'), ('overview', '.findings li', ''),
     ('log', '.findings li', ''), ('log', '.errors li', '2 lost'),
-    ('devices', '.devices tbody tr', '2 lost')])
+    ('devices', '.devices tbody tr', '2 lost'), ('device', '.device-errors li', '')])
 def test_what_moves_can_be_stopped(page, robot, view, items, changed):
     robot.lost, robot.findings = {7}, FINDINGS[:1]
     show(page, view)
-    see(page, items, '007|[Mm]issing termination')
+    see(page, items, '007|[Mm]issing termination|no answer')
     lists = page.locator(items)
-    panel = page.locator('.panel, .bus, main > div', has=lists).last
-    button = panel.get_by_role('button', name=re.compile('^Paused?$')).first
+    button = page.get_by_role('button', name=re.compile('^Paused?$'))       # one for all lists
     button.click()
     before = lists.all_inner_texts()
     robot.lost, robot.findings = {7, 11}, FINDINGS

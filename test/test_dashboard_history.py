@@ -1,6 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """The history of the dashboard: what is kept, for how long, and what a file survives."""
+from contextlib import closing
 from contextlib import suppress
 import json
 import os
@@ -21,6 +22,7 @@ from recorded_night import record
 from recorded_night import SERVOS
 from recorded_night import SICK
 from synthetic_robot import FINDINGS
+from synthetic_robot import serialise
 from synthetic_robot import SyntheticRobot
 
 from mecarover_dashboard import history
@@ -40,7 +42,9 @@ from mecarover_dashboard.history_recorder import HistorySampler
 from mecarover_dashboard.history_recorder import MOST_ERRORS
 from mecarover_dashboard.serve import open_history
 from mecarover_dashboard.state import State
+from mecarover_dashboard.state import TABLES
 from msg_defs.diagnostics import Level
+from msg_defs.diagnostics import Status
 
 NIGHT = 1_790_000_000               # Unix s, when the recorded nights begin
 KNEE = Subject('dxl_monitor: 007 left_knee', 'devices', '', 'A')
@@ -93,6 +97,25 @@ def test_what_is_kept_of_a_window():
     bus = next(one for one in windows if one.source.kind == 'buses')
     assert 30 < bus.ranges[0][0] < 50
     assert events == []
+
+
+def test_a_position_in_metres_is_recorded_as_that(path, writer):
+    """Also in a file of before, which has no unit of positions."""
+    status = Status('dxl_monitor: 004 gripper', Level.OK, 'connected', '4', [
+        ('Model', 'Gripper'), ('Firmware Version', '1'), ('State', 'connected'),
+        ('Present Position (m)', '0.0532')])
+    state, sampler = State(), HistorySampler()
+    state.store_message(TABLES, serialise([status]), 100.0)
+    sampler.sample_state(state, 100.0, NIGHT + 100)
+    windows, _ = sampler.take_batch()
+    writer.write([window(NIGHT, 0.05, source=windows[0].source._replace(position_unit=''))], [])
+    writer.close()
+    with closing(sqlite3.connect(path)) as database:
+        database.execute('ALTER TABLE sources DROP COLUMN position_unit')
+    assert [one.source.position_unit for one in read(path)[0]] == ['']
+    with closing(HistoryWriter(path)) as again:
+        again.write(windows, [])
+    assert [one.source.position_unit for one in read(path)[0]] == ['m', 'm']
 
 
 def test_a_window_is_written_once_and_an_event_soon():

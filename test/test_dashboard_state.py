@@ -7,6 +7,7 @@ from synthetic_robot import serialise
 from synthetic_robot import SyntheticRobot
 
 from mecarover_dashboard import cdr
+from mecarover_dashboard.rows import steady_position
 from mecarover_dashboard.state import FORGET_S
 from mecarover_dashboard.state import MOST_OF_MESSAGE
 from mecarover_dashboard.state import MOST_OF_STATUS
@@ -281,3 +282,16 @@ def test_a_crowd_that_has_left_makes_room():
     assert [*state.changes(0)['devices']] == ['dxl_monitor: 012']
     assert state.bytes < 10_000
     assert state.changes(1)['devices']['node0: 011'] is None
+
+
+@pytest.mark.parametrize(('unit', 'limits'), [('rad', ('-3.14', '3.14')), ('m', ('', ''))])
+def test_a_position_has_its_unit_and_is_exact_many_turns_away(unit, limits):
+    """Three significant digits of 256 turns are wrong by 86 degrees; a gripper moves by metres."""
+    state = take_one(one_device([
+        (f'Present Position ({unit})', '1608.49'), ('Min Position Limit (rad)', '-3.14'),
+        ('Max Position Limit (rad)', '3.14')]))
+    [values] = state.values().values()
+    assert (steady_position(values.position), values.position_unit) == ('1608.49', unit)
+    assert values.limits[:2] == limits
+    assert steady_position('0.05321') == '0.053'
+    assert steady_position('NaN') == 'NaN'

@@ -75,6 +75,17 @@ def test_robots_are_told_apart_and_a_namespace_has_its_own():
     assert exit_code(alone) == 0
 
 
+def test_a_position_that_is_no_angle_has_its_unit():
+    state = State()
+    for number, unit, value in ((1, 'rad', '1608.49'), (2, 'm', '0.0532')):
+        state.store_message(TABLES, serialise([Status(
+            f'dxl_monitor: 00{number}', Level.OK, 'connected', str(number), [
+                ('Model', ''), ('State', 'connected'), (f'Present Position ({unit})', value)])]),
+            100.0)
+    assert [line.split()[2:5] for line in table(state, 100.0)[1:]] == [
+        ['1608.49', '-', '-'], ['0.053', 'm', '-']]
+
+
 def test_what_is_no_longer_reported_is_silent_and_then_gone():
     robot = SyntheticRobot({'': ((1, 'MX-64', ''),)})
     state = told(robot)

@@ -44,10 +44,11 @@ export class DeviceView {
     this.plot = new Plot('Plot', 60, this.latency,
       this.fast = h('a', {class: 'button'}, 'Signals'),
       h('span', {class: 'quiet hint'}, 'or click any number; drag to zoom'));
-    this.errors = new ErrorList('Error history',
-      {empty: 'None in the last 50 errors of this bus.', ofOne: true});
     this.siblings = h('ul', {class: 'siblings'});
     this.panel = new HistoryPanel(name);
+    this.errors = new ErrorList('Error history', this.panel.pause,
+      {empty: 'None in the last 50 errors of this bus.', ofOne: true});
+    this.errors.head.append(this.panel.pause.element);
     this.element = this.#lay();
   }
 

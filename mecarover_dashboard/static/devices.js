@@ -5,10 +5,11 @@
 
 import {DeviceTable, ORDERS} from './table.js';
 import {each, h, icon, say, set, setIcon} from './dom.js';
-import {id3, plural, short} from './format.js';
+import {id3, plural} from './format.js';
 import {fillEmpty, showCrumbs} from './parts.js';
 import {Pause} from './pause.js';
 import {keepFilters, path} from './place.js';
+import {answersOf} from './servos.js';
 import {isQuiet, LEVELS, stateOf, wordOf, WORDS} from './store.js';
 
 const FORMS = {table: 'Table', cards: 'Cards'};
@@ -157,7 +158,5 @@ function updateDevice(item, device) {
   say(joint, device.joint || device.model);
   const isOld = isQuiet(device);
   say(text, isOld ? wordOf(device) : device.message);
-  const {loss} = device;
-  say(figures, isOld ? '' : [loss && loss !== '0' && `loss ${short(loss, 2)} %`,
-    device.latency && `${short(device.latency, 3)} ms`].filter(Boolean).join(' \u00b7 '));
+  say(figures, isOld ? '' : answersOf(device));
 }

@@ -4,6 +4,7 @@
 
 import {clock, figure, isInRange, span} from './format.js';
 import {GAP_S} from './store.js';
+import {measured} from './units.js';
 
 const LEFT = 52, RIGHT = 10, TOP = 8, BOTTOM = 20;
 const STEPS = [1, 2, 2.5, 5, 10];
@@ -37,8 +38,9 @@ export function drawPlot(canvas, shown, view) {
   pen.beginPath();
   pen.rect(area.left, 0, area.width + RIGHT, height);
   pen.clip();
-  for (const [name, value] of view.limits ?? []) drawLimit(pen, area, at, name, value, ticks,
-    colours);
+  for (const [name, value] of view.limits ?? []) {
+    drawLimit(pen, area, at, `${name} ${measured(value, view.unit)}`, value, ticks, colours);
+  }
   shown.forEach((one, index) => drawLine(pen, one.points, at,
     {colour: colours.lines[index % 4], dash: DASHES[index % 4],
       hasDots: one.hasDots && (one.isSampled || isSparse(one.points, at)),
@@ -131,12 +133,14 @@ function drawGrid(pen, area, at, ticks, view, colours) {
   pen.textAlign = 'right';
   pen.textBaseline = 'middle';
   pen.beginPath();
+  const largest = Math.max(Math.abs(ticks.low), Math.abs(ticks.high));
+  const digits = Math.max(5, 2 + Math.floor(Math.log10(largest / ticks.step)));
   for (let value = ticks.first; value <= ticks.high + ticks.step * 1e-6; value += ticks.step) {
     const y = Math.round(at.y(value)) + 0.5;
-    const round = Math.abs(value) < ticks.step * 1e-6 ? 0 : Number(value.toPrecision(6));
+    const round = Math.abs(value) < ticks.step * 1e-6 ? 0 : Number(value.toPrecision(9));
     pen.moveTo(area.left, y);
     pen.lineTo(area.left + area.width, y);
-    pen.fillText(figure(round, 5).replace('-', '\u2212'), area.left - 6, y);
+    pen.fillText(figure(round, digits).replace('-', '\u2212'), area.left - 6, y);
   }
   pen.textBaseline = 'alphabetic';
   drawTimes(pen, area, at, view);
@@ -170,7 +174,7 @@ function stepOf(length, most) {
   return round.find((one) => one >= least) ?? 86400;
 }
 
-function drawLimit(pen, area, at, name, value, ticks, colours) {
+function drawLimit(pen, area, at, text, value, ticks, colours) {
   if (!(value >= ticks.low && value <= ticks.high)) return;
   const y = Math.round(at.y(value)) + 0.5;
   pen.strokeStyle = pen.fillStyle = colours.limit;
@@ -182,7 +186,7 @@ function drawLimit(pen, area, at, name, value, ticks, colours) {
   pen.stroke();
   pen.setLineDash([]);
   pen.textAlign = 'left';
-  pen.fillText(`${name} ${figure(value)}`, area.left + 4, y - 4 < 12 ? y + 12 : y - 4);
+  pen.fillText(text, area.left + 4, y - 4 < 12 ? y + 12 : y - 4);
 }
 
 function drawLine(pen, points, at, {colour, dash, hasDots, isFaint}, view) {

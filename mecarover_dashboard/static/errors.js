@@ -4,7 +4,6 @@
 
 import {each, h, say, set} from './dom.js';
 import {clock} from './format.js';
-import {Pause} from './pause.js';
 import {path} from './place.js';
 import {deviceName} from './store.js';
 
@@ -26,15 +25,15 @@ export class ErrorList {
   #shown = 0;
   #waiting = [];
 
-  /** A heading (an element) above the list; `most` lines are shown. */
-  constructor(heading, {most = 50, empty = 'No errors.', ofOne = false} = {}) {
+  /** A heading (an element) above the list; the view's Pause; `most` lines are shown. */
+  constructor(heading, pause, {most = 50, empty = 'No errors.', ofOne = false} = {}) {
     this.most = most;
     this.ofOne = ofOne;
-    this.pause = new Pause('Errors', () => this.#show());
+    this.pause = pause;
     this.none = h('p', {class: 'quiet'}, empty);
     this.list = h('ol', {class: 'errors', tabindex: 0, ariaLabel: 'Errors'});
-    this.element = h('section', {class: 'panel'},
-      h('div', {class: 'head'}, h('h2', {}, heading), this.pause.element), this.none, this.list);
+    this.head = h('div', {class: 'head'}, h('h2', {}, heading));
+    this.element = h('section', {class: 'panel'}, this.head, this.none, this.list);
   }
 
   /** Take lines of errorsOf; return how many there are. */
@@ -53,7 +52,6 @@ export class ErrorList {
     const lines = this.#waiting;
     this.none.hidden = lines.length > 0;
     this.list.hidden = !lines.length;
-    this.pause.element.hidden = !lines.length;
     each(this.list, lines.map((line, index) => ({...line, index})), ({index}) => index,
       () => h('li', {}, h('time'), h('a'), h('span')), (item, line) => this.#fill(item, line));
   }

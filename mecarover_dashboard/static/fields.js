@@ -5,6 +5,7 @@
 import {each, h, icon, say, set} from './dom.js';
 import {age, numberOf, splitUnit} from './format.js';
 import {saysMore} from './store.js';
+import {shownIn} from './units.js';
 
 const CHANGED_S = 2.5;
 const SOURCES = {r: 'read', w: 'written'};
@@ -78,7 +79,7 @@ export class Fields {
     const button = h('button', {type: 'button', class: 'field', onclick: () => this.choose(key)},
       h('i', {class: 'swatch'}), h('span', {}, name));
     return h('tr', {}, h('th', {scope: 'row'}, button),
-      h('td', {class: 'value'}, h('span'), h('small')), h('td', {class: 'unit'}, unit),
+      h('td', {class: 'value'}, h('span'), h('small')), h('td', {class: 'unit'}, shownIn(unit)[0]),
       h('td', {class: 'age'}), h('td', {class: 'source'}));
   }
 
@@ -91,11 +92,17 @@ export class Fields {
     set(button, 'aria-pressed', isNumber ? line >= 0 : null);
     set(button, 'title', isNumber ? 'Plot' : null);
     set(button.firstChild, 'data-line', line >= 0 ? line : null);
-    say(value.firstChild, field.value);
+    say(value.firstChild, shownValue(field));
     say(value.lastChild, field.raw && field.raw !== field.value ? field.raw : '');
     set(value, 'data-changed', field.changed > 0 && this.now - field.changed < CHANGED_S);
     say(seen, field.seen === null ? '' : age(this.now - field.seen));
     say(source, SOURCES[field.source] ?? '');
     set(source, 'data-source', field.source || null);
   }
+}
+
+function shownValue({key, value}) {
+  const [, factor] = shownIn(splitUnit(key)[1]);
+  const number = factor * numberOf(value);
+  return factor === 1 || !Number.isFinite(number) ? value : String(Number(number.toFixed(3)));
 }

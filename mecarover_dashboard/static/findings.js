@@ -4,23 +4,19 @@
 
 import {each, h, icon, say, set, setIcon} from './dom.js';
 import {clock} from './format.js';
-import {Pause} from './pause.js';
 import {path} from './place.js';
 import {deviceName, isQuiet} from './store.js';
 
 const RANK = {error: 0, warn: 1};
 
 export class FindingList {
-  #update = () => {};
-
-  /** A heading (text or an element) above the list, more elements below it. */
-  constructor(heading, ...below) {
-    this.pause = new Pause('Findings', () => this.#update());
+  /** A heading (text or an element) above the list, more elements below it; the view's Pause. */
+  constructor(heading, pause, ...below) {
+    this.pause = pause;
     this.none = h('p', {class: 'quiet'}, 'Nothing found.');
     this.list = h('ul', {class: 'findings'});
     this.element = h('section', {class: 'panel'},
-      h('div', {class: 'head'}, h('h2', {}, heading), this.pause.element), this.none, this.list,
-      ...below);
+      h('h2', {}, heading), this.none, this.list, ...below);
   }
 
   /**
@@ -34,14 +30,12 @@ export class FindingList {
         .map((finding) => ({finding, row: device, part, device})))])
       .filter(({finding, device}) => !isSaid(finding[1], device))
       .sort((a, b) => RANK[a.finding[2]] - RANK[b.finding[2]]);
-    this.#update = () => this.#show(found, store);
-    if (!this.pause.isOn) this.#update();
+    if (!this.pause.isOn) this.#show(found, store);
     return this.list.childElementCount;
   }
 
   #show(found, store) {
     this.none.hidden = found.length > 0;
-    this.pause.element.hidden = !found.length;
     each(this.list, found, ({finding, row}) => `${finding[0]}|${row.name}`,
       ({device}) => makeFinding('warn', device),
       (item, {finding, row, part}) => showFinding(item, finding, wasTrue(row, part, store)));

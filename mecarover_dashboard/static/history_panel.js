@@ -11,8 +11,10 @@ import {LEVELS} from './store.js';
 
 const SPANS = [[600, '10 min'], [3600, '1 h'], [28800, '8 h'], [86400, '24 h']];
 const KINDS = {'': 'All', state: 'States', finding: 'Findings', error: 'Errors'};
-const UNITS = {position: 'rad', temperature: '\u00b0C', voltage: 'V', loss: '%', latency: 'ms',
+const UNITS = {temperature: '\u00b0C', voltage: 'V', loss: '%', latency: 'ms',
   bus_load: '%', packet_rate: '1/s', error_rate: '1/s'};
+const unitOf = (name, source) => UNITS[name]
+  ?? (name === 'position' ? source.position_unit || 'rad' : source.unit);
 const AGAIN_S = 20;            // how old the newest values may become
 const LEAST_S = 60;
 const AROUND_S = 120;          // so much before and after an event its link shows
@@ -37,7 +39,7 @@ export class HistoryPanel {
     this.kinds = h('div', {class: 'choice', role: 'group', ariaLabel: 'Events shown'},
       ...Object.entries(KINDS).map(([one, text]) => h('button', {type: 'button', 'data-kind': one,
         onclick: () => this.#only(one)}, text)));
-    this.pause = new Pause('Events', () => this.update(this.store));
+    this.pause = new Pause('Events, errors', () => this.update(this.store));
     this.saves = ['csv', 'json'].flatMap((format) => [...of ? ['values'] : [], 'events'].map(
       (what) => h('a', {class: 'button small', download: `${what}.${format}`, 'data-what': what,
         'data-format': format}, `${what} as ${format.toUpperCase()}`)));
@@ -150,7 +152,7 @@ export class HistoryPanel {
     if (source) showLevels(this.levels, runsOf(source.levels, answer.step), range);
     each(this.graphs, values, ([name]) => name, ([name]) => this.#graph(name),
       (figureElement, [name, points]) => this.#plots.get(name).update(
-        [{name: name.replaceAll('_', ' '), unit: UNITS[name] ?? source.unit, points}],
+        [{name: name.replaceAll('_', ' '), unit: unitOf(name, source), points}],
         range[1], {unix: (s) => s, gap}));
     for (const [name, plot] of this.#plots) {
       plot.cover(range[1] - range[0]);

@@ -8,7 +8,7 @@ const STORED = 'shortcuts';
 const at = (id) => document.getElementById(id);
 
 /** Act on keys. view: {step(by), up(), search()}, what the view shown can do. */
-export function listenToKeys(view) {
+export function listenToKeys(view, toggleAngles) {
   const show = (...parts) => { location.hash = path(...parts); };
   const step = (by) => {
     const to = view.step(by);
@@ -23,6 +23,7 @@ export function listenToKeys(view) {
       else show('devices');
     },
     t: () => window.toggleTheme(),
+    a: toggleAngles,
     u: () => { location.hash = view.up() ?? path(); },
     '[': () => step(-1), ']': () => step(1),
   };

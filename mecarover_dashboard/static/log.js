@@ -7,8 +7,9 @@ import {each, h, icon, say, set, setIcon} from './dom.js';
 import {ErrorList, errorsOf} from './errors.js';
 import {FindingList, makeFinding, showFinding} from './findings.js';
 import {numberOf, short} from './format.js';
-import {path} from './place.js';
 import {fillEmpty, metricsHead, metricToPlot, seriesOf, showMetrics} from './parts.js';
+import {Pause} from './pause.js';
+import {path} from './place.js';
 import {Plot} from './plot.js';
 import {stateOf, valueOf} from './store.js';
 
@@ -36,13 +37,14 @@ export class LogView {
     this.counters = h('tbody');
     this.doubts = h('ul', {class: 'findings doubts'});
     this.untold = h('details', {}, h('summary', {class: 'quiet'}), this.doubts);
-    this.findings = new FindingList('Findings', this.untold);
-    this.errors = new ErrorList('Last errors');
+    this.pause = new Pause('Findings and errors', () => this.update(this.store));
+    this.findings = new FindingList('Findings', this.pause, this.untold);
+    this.errors = new ErrorList('Last errors', this.pause);
     this.status = h('p', {class: 'message'}, icon('ok'), h('span'));
     this.body = this.#lay();
     this.element = h('div', {},
-      h('div', {class: 'head'}, h('h1', {tabindex: -1}, this.title), this.choice), this.empty,
-      this.body);
+      h('div', {class: 'head'}, h('h1', {tabindex: -1}, this.title), this.choice,
+        this.pause.element), this.empty, this.body);
   }
 
   #lay() {
@@ -50,19 +52,18 @@ export class LogView {
       h('div', {},
         panel('Timing', this.load, table('figures', 'Timing over the last 10 s', metricsHead(),
           this.rows)),
-        this.findings.element),
-      h('div', {},
-        h('section', {class: 'panel', ariaLabel: 'Plot'}, this.plot.element),
-        this.errors.element,
+        h('section', {class: 'panel', ariaLabel: 'Plot'}, this.plot.element)),
+      h('div', {}, this.findings.element, this.errors.element,
         panel('Bus', this.status, table('fields facts', 'Counters of the bus', this.counters))));
   }
 
   close() { this.plot.close(); }
 
   update(store) {
+    this.store = store;
     const groups = store.groups();
     this.empty.hidden = groups.length > 0;
-    this.body.hidden = !groups.length;
+    this.body.hidden = this.pause.element.hidden = !groups.length;
     if (!groups.length) {
       fillEmpty(this.empty, store);
       return;

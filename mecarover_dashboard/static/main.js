@@ -17,6 +17,7 @@ import {Robots} from './robots.js';
 import {SignalsView} from './signals.js';
 import {Store, worst} from './store.js';
 import {Stream} from './stream.js';
+import {shownIn, toggleAngles} from './units.js';
 
 const VIEWS = {'': Overview, devices: Devices, device: DeviceView, log: LogView,
   bridge: BridgeView, history: HistoryView, robots: Robots,
@@ -59,6 +60,7 @@ function wanted() {
 function go(isFirst) {
   const {name, robot, rest, filters, isOne, key} = wanted();
   shown = key;
+  showAngles();
   view?.close?.();
   setRobot(isOne ? null : robot);
   store.show(isOne ? null : robot);
@@ -69,6 +71,18 @@ function go(isFirst) {
   scrollTo(0, 0);
   if (!isFirst) (main.querySelector('h1') ?? main).focus({preventScroll: true});
   showAll();
+}
+
+function showAngles() {
+  const unit = shownIn('rad')[0] === 'rad' ? 'rad' : 'deg';
+  say(at('angles'), unit);
+  set(at('angles'), 'aria-label', `Angles in ${unit}`);
+}
+
+/** A view is made for one unit: make it again. */
+function changeAngles() {
+  toggleAngles();
+  go(true);
 }
 
 /** The links to the views, and the name of the robot. */
@@ -188,8 +202,9 @@ function showLive(state, words) {
 }
 
 listenToKeys({step: (by) => view.step?.(by), up: () => view.up?.(),
-  search: () => main.querySelector('input[type=search]')});
+  search: () => main.querySelector('input[type=search]')}, changeAngles);
 addEventListener('hashchange', () => go(false));
+at('angles').addEventListener('click', changeAngles);
 at('theme').addEventListener('click', () => window.toggleTheme());
 at('skip').addEventListener('click', () => main.focus());
 setInterval(() => { if (!document.hidden && live) showAll(); }, TICK_MS);

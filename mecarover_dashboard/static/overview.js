@@ -23,16 +23,18 @@ export class Overview {
     this.empty = h('div', {class: 'empty'});
     this.bridge = h('section', {class: 'bus'}, makeBar(path('bridge')));
     this.buses = h('div', {class: 'buses'});
-    this.sidebar = new OverviewSidebar();
+    this.pause = new Pause('Devices, findings and errors', () => this.update(this.store));
+    this.sidebar = new OverviewSidebar(this.pause);
     this.element = h('div', {}, h('h1', {class: 'unseen', tabindex: -1}, 'Overview'), this.empty,
       h('div', {class: 'overview'},
-        h('div', {class: 'buses'}, this.bridge, this.buses, this.sidebar.below),
-        this.sidebar.element));
+        h('div', {class: 'buses'}, this.bridge, this.buses), this.sidebar.element,
+        this.sidebar.below));
   }
 
   close() { this.sidebar.close(); }
 
   update(store) {
+    this.store = store;
     const groups = store.groups();
     const bridge = store.bridgePart();
     this.empty.hidden = groups.length > 0;
@@ -44,7 +46,9 @@ export class Overview {
     const shown = groups.map((group) => ({...group, alerts: alertsOf(group),
       text: store.said(group.part)}));
     each(this.buses, shown, (group) => group.key, makeBus,
-      (element, group) => updateBus(element, group, store));
+      (element, group) => updateBus(element, group, store, this.pause.isOn));
+    const line = this.buses.lastElementChild?.lastElementChild;
+    if (line && line !== this.pause.element.parentElement) line.append(this.pause.element);
     this.sidebar.update(store, shown);
   }
 }
@@ -64,18 +68,14 @@ function showBridge(element, {state, is_known: isKnown}, text) {
   say(bar.lastChild, WORDS[state]);
 }
 
-function makeBus(group) {
-  const pause = new Pause('Devices', () => showDevices(element));
-  const element = h('section', {class: 'bus'}, makeBar(path('devices', group.key)),
-    h('div', {class: 'strip', 'aria-hidden': 'true'}),
-    h('ul', {class: 'servos'}),
-    h('ul', {class: 'alerts'}),
-    h('div', {class: 'tiles'}),
-    h('div', {class: 'bus-line'}, h('p'), pause.element));
-  return Object.assign(element, {pause});
-}
+const makeBus = (group) => h('section', {class: 'bus'}, makeBar(path('devices', group.key)),
+  h('div', {class: 'strip', 'aria-hidden': 'true'}),
+  h('ul', {class: 'servos'}),
+  h('ul', {class: 'alerts'}),
+  h('div', {class: 'tiles'}),
+  h('div', {class: 'bus-line'}, h('p')));
 
-function updateBus(element, group, store) {
+function updateBus(element, group, store, isPaused) {
   const [bar, strip, , , tiles, line] = element.children;
   const total = group.devices.length;
   const {is_known: isKnown} = group.part;
@@ -90,8 +90,7 @@ function updateBus(element, group, store) {
   set(strip, 'data-many', total > 60);
   each(strip, group.devices, (device) => device.name, makeCell, updateCell);
   set(element, 'data-size', sizeOf(total));
-  element.newest = {group, store};
-  if (!element.pause.isOn) showDevices(element);
+  if (!isPaused) showDevices(element, group, store);
   each(tiles, group.models, (model) => model.model, (model) => makeTile(group, model),
     updateTile);
   say(line.firstChild, busLine(group));
@@ -151,7 +150,7 @@ function alertOf(group, {state, message, devices}) {
     href: isMany ? path('devices', group.key) : path('device', first.name)};
 }
 
-function showDevices({children: [, , servos, list], newest: {group, store}}) {
+function showDevices({children: [, , servos, list]}, group, store) {
   // What several devices say that wait is said once, below the cards.
   const shared = new Set(group.alerts.filter(({isShared}) => isShared)
     .flatMap(({devices}) => devices));

@@ -16,14 +16,14 @@ const panel = (kind, title, content) =>
   h('section', {class: `panel ${kind}`}, h('h2', {}, title), content);
 
 export class OverviewSidebar {
-  constructor() {
+  constructor(pause) {
     this.plot = new Plot('Bus load', 300);
     this.command = new Command();
     this.symbol = icon('ok');
     this.bridge = panel('', heading('bridge', this.symbol, 'Bridge'), this.command.element);
     this.load = panel('low', heading('log', 'Bus load'), this.plot.element);
-    this.findings = new FindingList(heading('log', 'Findings'));
-    this.errors = new ErrorList(heading('log', 'Last errors'), {most: MOST_ERRORS});
+    this.findings = new FindingList(heading('log', 'Findings'), pause);
+    this.errors = new ErrorList(heading('log', 'Last errors'), pause, {most: MOST_ERRORS});
     this.element = h('div', {class: 'aside'}, this.bridge, this.findings.element);
     this.below = h('div', {class: 'below'}, this.load, this.errors.element);
   }

@@ -1,13 +1,13 @@
 // Copyright 2026 The mecarover_serial authors
 // SPDX-License-Identifier: Apache-2.0
-// The button that makes a list stand still while somebody reads it.
+// The button that makes the lists of a view stand still while somebody reads them.
 
 import {h, say, set} from './dom.js';
 
 export class Pause {
   isOn = false;
 
-  /** show() is called when the list may move again; what: the list, for a screen reader. */
+  /** show() is called when the lists may move again; what: the lists, for a screen reader. */
   constructor(what, show) {
     this.show = show;
     this.element = h('button', {type: 'button', class: 'button small pause', ariaPressed: false,

@@ -4,8 +4,9 @@
 // part of the time that is chosen by dragging.
 
 import {differenceOf, drawPlot, nearOf, readAt} from './draw.js';
-import {clock, figure, isInRange, span as spanText} from './format.js';
+import {clock, isInRange, span as spanText} from './format.js';
 import {each, h, say, set} from './dom.js';
+import {measured, shownIn, withUnit} from './units.js';
 
 const SPANS = [[10, '10 s'], [60, '1 min'], [300, '5 min']];
 const LEAST_DRAG = 12;         // px; less is a touch
@@ -78,16 +79,19 @@ export class Plot {
   /**
    * Show series [{name, unit, note, points: [[s, value or null] or [s, low, high, last], ...],
    * hasDots, isSampled, remove}] up to now (s): a dot for each point where they are far apart,
-   * wherever they are samples; what its button does.
+   * wherever they are samples; what its button does. All are in one unit, as it is reported.
    * options: `low`, where the scale begins; `limits`, [[name, value], ...]; `gap`, s without a
    * point that break the line; `unix(s)`, the Unix time of a time; `timeOfDay(s)`, a text after
    * it; `zero`, s that are called now; `rest`, s between two moves of the plot.
    */
   update(series, now, options = {}) {
     const isOther = series.map(nameOf).join() !== this.#series.map(nameOf).join();
-    this.#series = series;
+    const [unit, factor] = shownIn(series[0]?.unit ?? '');
+    this.#series = factor === 1 ? series : series.map((one) => ({...one, unit,
+      points: one.points.map(([s, ...values]) => [s, ...values.map(times(factor))])}));
     this.#now = now;
-    this.#options = options;
+    this.#options = {...options, unit,
+      limits: options.limits?.map(([name, value]) => [name, factor * value])};
     const rest = options.rest ?? Math.max(CALM_S, this.span / STEPS);
     if (isOther || performance.now() / 1000 - this.#drawnAt > rest) this.draw();
   }
@@ -225,6 +229,8 @@ export class Plot {
   }
 }
 
+const times = (factor) => (value) => value === null ? null : factor * value;
+
 const isWithin = (s, [from, to]) => s !== null && s >= from && s <= to;
 
 /** What makes two series differ: the name, and whether there is a point. */
@@ -234,9 +240,9 @@ function written({value, unit}) {
   if (!value) return 'no data';
   const {low, high, isBetween} = value;
   if (!isInRange(low) || !isInRange(high)) return 'out of range';
-  const number = low !== high ? `${figure(low)} to ${figure(high)}`
-    : isBetween ? `\u2248 ${figure(low)}` : figure(low);
-  return unit ? `${number} ${unit}` : number;
+  const number = low !== high ? `${measured(low, unit)} to ${measured(high, unit)}`
+    : isBetween ? `\u2248 ${measured(low, unit)}` : measured(low, unit);
+  return withUnit(number, unit);
 }
 
 /** A range after a turn of the wheel: wider or narrower around a time; with Shift it moves. */

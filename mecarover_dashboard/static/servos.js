@@ -1,12 +1,14 @@
 // Copyright 2026 The mecarover_serial authors
 // SPDX-License-Identifier: Apache-2.0
-// The servos of a bus, a card each: its joint, where in its range it is, load, temperature,
-// voltage. A bar needs a scale: what the servo itself says, or else the usual one.
+// The devices of a bus, a card each: of a servo its joint, where in its range it is, load,
+// temperature, voltage; of a board its model and how it answers. A bar needs a scale: what the
+// device itself says, or else the usual one.
 
 import {each, h, icon, say, set, setIcon} from './dom.js';
-import {clock, figure, id3, numberOf} from './format.js';
+import {clock, figure, id3, numberOf, short} from './format.js';
 import {path} from './place.js';
 import {isQuiet, saysMore, stateOf, wordOf} from './store.js';
+import {positionText} from './units.js';
 
 const FEW = 8;                 // as many as a small display has room for
 const SOME = 30;
@@ -17,23 +19,27 @@ const NONE = [];
 /** How much room a bus needs: 'few', 'some', or 'many', which are cells without values. */
 export const sizeOf = (count) => count <= FEW ? 'few' : count <= SOME ? 'some' : 'many';
 
-/** A value on a scale: {text, from, to}, shares of the bar; no bar where there is no scale. */
+/** A value on a scale: {name, text, from, to}, shares of the bar; no bar where there is no scale. */
 const MEASURES = {
-  position: ([, , , , position, low, high]) => {
-    const [first, last] = low < high ? [low, high] : [-Math.PI, Math.PI];
+  position: ([, , , , position, unit, low, high]) => {
+    const [first, last] = numberOf(low) < numberOf(high) ? [low, high]
+      : unit === 'rad' && Math.abs(position) <= Math.PI ? [-Math.PI, Math.PI] : [NaN, NaN];
     const at = share(position, first, last);
-    return {text: `${Math.round(position * 180 / Math.PI)}\u00b0`, from: at - 0.02, to: at + 0.02};
+    return {name: 'Position', text: positionText(position, unit), from: at - 0.02, to: at + 0.02};
   },
-  load: ([, , load, , , , , , , , unit], most) => {
+  load: ([, , load, unit], most) => {
     const at = share(load, -most, most);
-    const text = unit === 'A' ? load.toFixed(2).replace(/^-(0\.00)$/, '$1') : figure(load, 2);
-    return {text: `${text} ${unit}`,
+    const text = unit === 'A' ? Number(load).toFixed(2).replace(/^-(0\.00)$/, '$1')
+      : short(load, 2);
+    return {name: unit === 'A' ? 'Current' : 'Load', text: `${text} ${unit}`,
       from: Math.min(at, 0.5), to: Math.max(at, 0.5)};
   },
-  temperature: ([temperature, , , , , , , limit]) => ({text: `${figure(temperature, 3)} \u00b0C`,
-    from: 0, to: share(temperature, COLD, limit || HOT)}),
-  voltage: ([, voltage, , , , , , , low, high]) => ({text: `${figure(voltage, 3)} V`,
-    from: 0, to: low < high ? share(voltage, low, high) : 0}),
+  temperature: ([temperature, , , , , , , , limit]) => ({name: 'Temperature',
+    text: `${short(temperature, 3)} \u00b0C`, from: 0,
+    to: share(temperature, COLD, Number(limit) || HOT)}),
+  voltage: ([, voltage, , , , , , , , low, high]) => ({name: 'Voltage',
+    text: `${short(voltage, 3)} V`, from: 0,
+    to: numberOf(low) < numberOf(high) ? share(voltage, low, high) : 0}),
 };
 const NAMES = Object.keys(MEASURES);
 const PLACES = {position: 4, load: 2, temperature: 0, voltage: 1};
@@ -48,12 +54,17 @@ export function showServos(grid, devices, store, shared) {
 const makeServo = (device) => h('li', {}, h('a', {class: 'servo',
   href: path('device', device.name)},
 h('p', {class: 'servo-head'}, icon('ok'), h('b', {}), h('span')), h('p', {class: 'servo-text'}),
-...NAMES.map((name) => h('p', {class: `measure ${name}`, title: name},
-  h('i', {}, h('i')), h('span')))));
+h('p', {class: 'servo-about'}),
+...NAMES.map((name) => h('p', {class: `measure ${name}`}, h('span'), h('span'),
+  h('i', {}, h('i'))))));
+
+/** How a device answers: '0.11 ms'; what it misses first, where it misses any. */
+export const answersOf = ({loss, latency}) => [loss && loss !== '0' && `loss ${short(loss, 2)} %`,
+  latency && `${short(latency, 3)} ms`].filter(Boolean).join(' \u00b7 ');
 
 function showServo(item, device, store, isAlone) {
   const values = store.values.get(device.name) ?? NONE;
-  const [head, text, ...lines] = item.firstChild.children;
+  const [head, text, about, ...lines] = item.firstChild.children;
   const state = stateOf(device);
   set(item.firstChild, 'data-state', state);
   set(head, 'data-state', state);
@@ -66,14 +77,17 @@ function showServo(item, device, store, isAlone) {
     ? `${wordOf(device)} since ${clock(store.wall(device.quiet_since))}` : wordOf(device);
   if (isSick) say(text, saysMore(device) ? device.message : word);
   set(item, 'data-sick', isSick);
-  const numbers = values.map(numberOf);
-  numbers.push(values[3]);
+  const isKnown = (name) => Number.isFinite(numberOf(values[PLACES[name]]));
+  about.hidden = isKnown('position') || !device.live;
+  set(item, 'data-board', about.hidden ? null : '');
+  if (!about.hidden) {
+    say(about, [device.joint && device.model, answersOf(device)].filter(Boolean).join(' \u00b7 '));
+  }
   const most = item.most = values[3] === '%' ? 100
-    : Math.max(item.most ?? 1, Math.abs(numbers[2]) || 0);
+    : Math.max(item.most ?? 1, Math.abs(numberOf(values[2])) || 0);
   NAMES.forEach((name, at) => {
-    const isKnown = Number.isFinite(numbers[PLACES[name]]);
-    lines[at].hidden = !isKnown;
-    if (isKnown) showMeasure(lines[at], MEASURES[name](numbers, most));
+    lines[at].hidden = !isKnown(name);
+    if (isKnown(name)) showMeasure(lines[at], MEASURES[name](values, most));
   });
 }
 
@@ -83,10 +97,11 @@ function sayInParts(element, name) {
   element.replaceChildren(...name.split(/(?<=[_ -])/).flatMap((part) => [part, h('wbr')]));
 }
 
-function showMeasure(line, {text, from, to}) {
-  const [bar, words] = line.children;
+function showMeasure(line, {name, text, from, to}) {
+  const [label, words, bar] = line.children;
+  say(label, name);
   say(words, text);
-  bar.style.visibility = to > 0 ? '' : 'hidden';
+  bar.hidden = !(to > 0);
   bar.firstChild.style.left = `${100 * from}%`;
   bar.firstChild.style.width = `${100 * (to - from)}%`;
 }

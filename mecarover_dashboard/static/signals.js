@@ -9,6 +9,7 @@ import {fillEmpty} from './parts.js';
 import {keepFilters, path} from './place.js';
 import {Plot} from './plot.js';
 import {csvOf, MOST, Signal, Signals, SPAN_S} from './signal.js';
+import {measured, shownIn} from './units.js';
 
 const SPANS = [[5, '5 s'], [20, '20 s'], [SPAN_S, '60 s']];
 const FIRST = ['Present Position', 'Goal Position', 'Present Current', 'Present Load',
@@ -106,7 +107,7 @@ export class SignalsView {
     const rank = ({key}) => (FIRST.indexOf(splitUnit(key)[0]) + FIRST.length + 1)
       % (FIRST.length + 1);
     fill(this.register, fields.filter(({value, raw}) => Number.isFinite(numberOf(raw || value)))
-      .sort((a, b) => rank(a) - rank(b)).map(({key}) => [key, key]));
+      .sort((a, b) => rank(a) - rank(b)).map(({key}) => [key, shownKey(key)]));
     if (this.isFirst && fields.length) {            // somebody who chose nothing sees something
       const first = FIRST.slice(0, 2).flatMap((name) =>
         fields.filter(({key}) => splitUnit(key)[0] === name));
@@ -153,9 +154,10 @@ export class SignalsView {
       plot.cover(to - from, {isQuiet: true});
       plot.update(some.map((signal) => {
         const points = signal.drawn(from, to, plot.width, now);
-        return {name: this.#name(signal), unit: splitUnit(signal.key)[1], points,
-          note: [...rateOf(signal, now, this.isSampled), ...extremes(points),
-            ...averageOf(signal, from, to)].join(', '),
+        const [, unit] = splitUnit(signal.key);
+        return {name: this.#name(signal), unit, points,
+          note: [...rateOf(signal, now, this.isSampled), ...extremes(points, unit),
+            ...averageOf(signal, from, to, unit)].join(', '),
           hasDots: !signal.isWritten, isSampled: this.isSampled,
           remove: () => this.#keep(this.signals.all.filter((one) => one !== signal))};
       }), to, {gap: Infinity, rest: 0, zero: now,
@@ -180,7 +182,7 @@ export class SignalsView {
   }
 
   #makePlot({key, unit}) {
-    const plot = new Plot(`Signals, ${unit}`);
+    const plot = new Plot(`Signals, ${shownIn(unit)[0]}`);
     plot.onZoom = (zoom) => {
       if (!zoom) {
         this.#show(this.#span);
@@ -242,6 +244,11 @@ function groupsOf(signals) {
 
 const unitOf = (key) => splitUnit(key)[1] && ` (${splitUnit(key)[1]})`;
 
+function shownKey(key) {
+  const [name, unit] = splitUnit(key);
+  return unit ? `${name} (${shownIn(unit)[0]})` : name;
+}
+
 /** '007 left_knee', with its bus where there are several. */
 function nameOf({id, joint, bus}, devices) {
   return [id3(id), joint, devices.some((one) => one.bus !== bus) && bus].filter(Boolean).join(' ');
@@ -251,19 +258,22 @@ const rateOf = (signal, now, isSampled) => signal.end > signal.begin
   ? [`${figure(signal.rate(now), 2)} ${isSampled ? 'samples/s' : '/s'}`] : [];
 
 /** The lowest and highest of what is shown, as a text; nothing where they are one. */
-function extremes(points) {
+function extremes(points, reported) {
+  const [unit, factor] = shownIn(reported);
   const known = points.filter(([, value]) => value !== null);
-  const low = Math.min(...known.map((point) => point[1]));
-  const high = Math.max(...known.map((point) => point[2]));
-  return low < high ? [`${figure(low)} to ${figure(high)}`] : [];
+  const low = factor * Math.min(...known.map((point) => point[1]));
+  const high = factor * Math.max(...known.map((point) => point[2]));
+  return low < high ? [`${measured(low, unit)} to ${measured(high, unit)}`] : [];
 }
 
 /** Nothing of what was written: the mean of rare writes is not that of the time they hold. */
-function averageOf(signal, from, to) {
+function averageOf(signal, from, to, reported) {
   if (signal.isWritten) return [];
+  const [unit, factor] = shownIn(reported);
   const {count, mean, deviation} = signal.statistics(from, to);
   return deviation > 0
-    ? [`mean ${figure(mean)}, \u03c3 ${figure(deviation, 3)} of ${count}`] : [];
+    ? [`mean ${measured(factor * mean, unit)}, \u03c3 ${figure(factor * deviation, 3)} of ${count}`]
+    : [];
 }
 
 /** Fill a select with [value, text]. */

@@ -45,7 +45,7 @@ export class Store {
   timing = new Map();
   all = [];                  // every bridge and bus, as the server says: robot_parts.py
   isLive = true;             // the server is heard
-  values = new Map();        // device: [temperature, voltage, load, unit], where asked for
+  values = new Map();        // device: as in client.py, where asked for
   facts = null;
   topics = {};
   publishers = {};

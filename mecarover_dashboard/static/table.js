@@ -7,6 +7,7 @@ import {FIGURES} from './figures.js';
 import {id3, isolate, numberOf, short} from './format.js';
 import {path} from './place.js';
 import {isQuiet, stateOf, wordOf} from './store.js';
+import {positionText} from './units.js';
 
 const RANK = {error: 0, stale: 1, warn: 2, ok: 3};
 const worstFirst = (a, b) => RANK[stateOf(a)] - RANK[stateOf(b)] || a.id - b.id;
@@ -20,6 +21,8 @@ const COLUMNS = [
   ['state', 'State', (device) => wordOf(device), null],
   ['id', 'Device', null, (device) => device.id],
   ['model', 'Model', (device) => device.model, (device) => device.model],
+  ['position', 'Position', (device, [, , , , value, unit]) => positionText(value, unit),
+    (_, [, , , , value]) => figureOf(value)],
   ['temperature', '\u00b0C', (device, [value]) => value, (_, [value]) => figureOf(value)],
   ['voltage', 'V', (device, [, value]) => value, (_, [, value]) => figureOf(value)],
   ['load', 'Load', (device, [, , value, unit]) => value && `${value} ${unit}`,
@@ -31,7 +34,7 @@ const COLUMNS = [
 const nameOf = (column) => column[0].split(' ')[0];
 export const ORDERS = Object.fromEntries(COLUMNS.map((one) => [nameOf(one), one[3]]));
 const CALM_S = 0.95;
-const NONE = ['', '', '', ''];
+const NONE = ['', '', '', '', '', ''];
 const TITLES = {...Object.fromEntries(FIGURES.map(({name, title}) => [name, title])),
   temperature: 'Temperature (\u00b0C)', voltage: 'Voltage (V)',
   load: 'Load, or current, whichever the model has'};

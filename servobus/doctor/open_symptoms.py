@@ -35,7 +35,6 @@ from servobus.doctor.thresholds import INCIDENTS_MIN
 # Share of all bytes that are no packet: as many are not what damage of a few packets leaves.
 NOISE_BYTES_MIN_SHARE = 0.05
 NOISE_MIN_BYTES = 30               # three packets
-FEW_BYTES = 64                     # less does not show that it is the 1.0 family
 _LOST = (words.DISCONNECTED, words.EXPECTED, words.ASKED)    # one that waits is not the cause
 
 
@@ -85,7 +84,7 @@ def _symptoms(report: BusReport) -> Iterator[_Symptom]:
     noise = counters.get('Noise Bytes', 0)
     damaged = sum(report.kinds.get(kind, 0) for kind in DAMAGE_KINDS)
     unknown = report.kinds.get(ev.UNKNOWN_INSTRUCTION, 0)
-    if 0 < counters['Bytes'] < FEW_BYTES and not counters['Packets']:
+    if 0 < counters['Bytes'] < words.FEW_BYTES and not counters['Packets']:
         yield _Symptom({'no packets'}, f'{counters["Bytes"]} bytes, but no packet',
                        'too few to know Protocol 1.0 or Feetech by, or no servo bus',
                        'add --protocol 1 or --protocol feetech: if that shows packets, it is that')
