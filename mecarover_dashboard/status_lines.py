@@ -76,7 +76,7 @@ class DeviceLine(NamedTuple):
 
 
 INDENT = ' ' * 8             # second and further rows
-VALUE_COLUMNS = (('rad', 7), ('\u00b0C', 4), ('V', 5), ('load', 7), ('loss %', 6))
+VALUE_COLUMNS = (('rad', 7), ('\u00b0C', 3), ('V', 5), ('load', 7), ('loss %', 6))
 SORTS = {'w': 'worst first', 'i': 'ID', 'p': 'position', 't': 'temperature', 'v': 'voltage',
          'l': 'load', 'm': 'missed'}
 _VALUES = 'ptvlm'                       # the columns, by the key that sorts by them

@@ -194,7 +194,7 @@ def voltage(case: Case) -> Claims:
     ids = tuple([one.device for one in found if one.device is not None])
     if len(found) >= SUPPLY_MIN_DEVICES:
         yield Claim(f'{len(found)} devices near or beyond a voltage limit: the supply is '
-                    'the cause; measure it, charge the battery, check cable gauge',
+                    'the cause; measure it, and compare it with their labels',
                     {'devices': all_ids(ids)},
                     _level(any(one.level is not Level.WARN for one in found)),
                     covers=ids, rests_on=SUPPLY)
