@@ -15,6 +15,8 @@ from dashboard_page import SIZES
 from harness import wait
 from page_states import alerts
 from page_states import Clock
+from page_states import places
+from page_states import repeated
 from page_states import Robot
 from page_states import rows
 from page_states import Stage
@@ -74,6 +76,7 @@ def test_all_six_say_the_same(of, healthy, monkeypatch):
         width, height = SIZES['phone']
         page = chromium.new_page(viewport={'width': width, 'height': height})
         page.goto(dashboard.address)
+        twice = []
         for at, row in enumerate(rows(of)):
             stage.play(healthy)
             wait(lambda: page.evaluate(WELL))
@@ -82,6 +85,10 @@ def test_all_six_say_the_same(of, healthy, monkeypatch):
             check(row, seen, height)
             if folder:
                 page.screenshot(path=Path(folder) / f'{of}-{at:02}.png')
+            for place in places(row.robots):
+                stage.go_on(row.robots)
+                twice += [(row.cause, place, text) for text in repeated(page, place)]
+        assert not twice, '\n'.join(map(str, twice))
 
 
 def check(row, seen, height):

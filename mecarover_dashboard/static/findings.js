@@ -24,7 +24,7 @@ export class FindingList {
   }
 
   /**
-   * List the findings of buses and their devices, errors first; return how many.
+   * List the findings of buses and their devices, errors first, equal ones once; return how many.
    * isSaid(text, device) leaves out what the view shows elsewhere.
    */
   update(groups, store, isSaid = () => false) {
@@ -34,7 +34,7 @@ export class FindingList {
         .map((finding) => ({finding, row: device, part, device})))])
       .filter(({finding, device}) => !isSaid(finding[1], device))
       .sort((a, b) => RANK[a.finding[2]] - RANK[b.finding[2]]);
-    this.#update = () => this.#show(found, store);
+    this.#update = () => this.#show(merged(found), store);
     if (!this.pause.isOn) this.#update();
     return this.list.childElementCount;
   }
@@ -42,15 +42,27 @@ export class FindingList {
   #show(found, store) {
     this.none.hidden = found.length > 0;
     this.pause.element.hidden = !found.length;
-    each(this.list, found, ({finding, row}) => `${finding[0]}|${row.name}`,
-      ({device}) => makeFinding('warn', device),
+    each(this.list, found,
+      ({finding, row, devices}) => [finding[0], row.name, ...devices.map(({id}) => id)].join('|'),
+      ({devices}) => makeFinding('warn', devices),
       (item, {finding, row, part}) => showFinding(item, finding, wasTrue(row, part, store)));
   }
 }
 
-/** An item for one finding: icon, rule, message, and a link to its device. */
-export const makeFinding = (name, device) => h('li', {}, icon(name), h('b'), h('span'),
-  device ? h('a', {href: path('device', device.name)}, deviceName(device)) : null);
+/** What several devices of a bus have is one finding, of all of them. */
+function merged(found) {
+  const all = new Map();
+  for (const {device, ...one} of found) {
+    const key = `${one.part.row_name}|${one.finding}`;
+    if (!all.has(key)) all.set(key, {...one, devices: []});
+    if (device) all.get(key).devices.push(device);
+  }
+  return [...all.values()];
+}
+
+/** An item for one finding: icon, rule, message, and links to its devices. */
+export const makeFinding = (name, devices = []) => h('li', {}, icon(name), h('b'), h('span'),
+  h('p', {}, ...devices.map((one) => h('a', {href: path('device', one.name)}, deviceName(one)))));
 
 /** Fill an item made by makeFinding; `old` says when it was true, '' while it is. */
 export function showFinding(item, [rule, message, severity], old = '') {

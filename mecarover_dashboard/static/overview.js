@@ -146,17 +146,18 @@ function alertOf(group, {state, message, devices}) {
   const [first] = devices;
   const isMany = devices.length > 1;
   return {state, message: isolate(message), key: `${first.name} ${isMany}`, devices,
-    isShared: isMany && state !== 'error',
+    isShared: isMany && (state !== 'error' || !group.part.live),
     names: list(devices.map(isMany ? ({id}) => id3(id) : deviceName)),
     href: isMany ? path('devices', group.key) : path('device', first.name)};
 }
 
 function showDevices({children: [, , servos, list], newest: {group, store}}) {
-  // What several devices say that wait is said once, below the cards.
-  const shared = new Set(group.alerts.filter(({isShared}) => isShared)
-    .flatMap(({devices}) => devices));
-  showServos(servos, group.devices.filter((one) => one.live || !shared.has(one)).sort(byUrgency),
-    store, shared);
+  // What several devices say that wait is said once, below the cards; an error on its first card.
+  const said = new Map(group.alerts.flatMap(({isShared, devices = []}) => isShared
+    ? devices.map((one) => [one, ''])
+    : devices.slice(1).map((one) => [one, `as ${id3(devices[0].id)}`])));
+  showServos(servos, group.devices.filter((one) => one.live || said.get(one) !== '')
+    .sort(byUrgency), store, said);
   set(servos, 'data-old', !group.part.is_known);
   list.hidden = !group.alerts.length;
   each(list, group.alerts, (alert) => alert.key, makeAlert, updateAlert);

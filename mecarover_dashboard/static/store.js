@@ -26,9 +26,6 @@ export const deviceName = (device) =>
 /** Whether a device's status says more than the word of its state; an old one says nothing. */
 export const saysMore = (device) => !isQuiet(device) && device.message !== device.state;
 
-/** What a status says, or since when there is none: its last words are of then. */
-export const messageOf = (row, now) => isQuiet(row)
-  ? `no report for ${Math.round(now - row.quiet_since)} s; last: ${row.message}` : row.message;
 
 /** What is said of a device: the word of its level first, then its state. */
 export function wordOf(device) {
