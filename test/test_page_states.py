@@ -88,6 +88,10 @@ def test_all_six_say_the_same(of, healthy, monkeypatch):
             for place in places(row.robots):
                 stage.go_on(row.robots)
                 twice += [(row.cause, place, text) for text in repeated(page, place)]
+                if (len(row.robots) > 1) is (place == '#/'):       # else a bar says it
+                    headline = page.locator('#headline')
+                    assert headline.is_visible() is bool(row.mark), (row.cause, place)
+                    assert re.search(row.mark, headline.inner_text()), (row.cause, place)
         assert not twice, '\n'.join(map(str, twice))
 
 

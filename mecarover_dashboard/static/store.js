@@ -23,6 +23,9 @@ export const isLost = (device) => stateOf(device) === 'error' && AWAY.has(device
 export const deviceName = (device) =>
   device.joint ? `${id3(device.id)} ${isolate(device.joint)}` : id3(device.id);
 
+/** What a robot is called; its namespace may be empty. */
+export const robotName = (robot) => robot || 'no namespace';
+
 /** Whether a device's status says more than the word of its state; an old one says nothing. */
 export const saysMore = (device) => !isQuiet(device) && device.message !== device.state;
 
