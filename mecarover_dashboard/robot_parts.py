@@ -176,7 +176,7 @@ def _mark(found: list[_Problem], rules: Mapping[str, str] = {}) -> tuple[int, st
     ids: dict[str, list[str]] = {}
     for one in found:
         if not one.devices:
-            ids[one.word if one.word in (*_OF_ALL, SILENT)
+            ids['bus silent' if one.word == SILENT else one.word if one.word in _OF_ALL
                 else rules.get(one.text, _beginning(one.text))] = ['']
         for device in one.devices:
             ids.setdefault(_trouble(device), []).append(f'{device["id"]:03}')

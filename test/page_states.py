@@ -39,7 +39,7 @@ PLACES = ('', 'devices', 'device/dxl_monitor: 003', 'log', 'bridge', 'history', 
 _SENTENCE_MIN_WORDS = 4
 # Go to a place; return the texts that are seen there as (text, list whose lines are records).
 _TEXTS = """(place) => new Promise((done) => {
-    addEventListener('hashchange', () => {
+    const look = () => {
         const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
         const found = [];
         for (let node; (node = walker.nextNode());) {
@@ -48,8 +48,10 @@ _TEXTS = """(place) => new Promise((done) => {
             const isSeen = node.data.trim() && one.checkVisibility() && !one.closest('.unseen');
             if (isSeen) found.push([node.data, records?.className ?? '']);
         }
-        done(found);
-    }, {once: true});
+        if (found.some(([text]) => text.startsWith('Waiting'))) setTimeout(look, 20);
+        else done(found);
+    };
+    addEventListener('hashchange', look, {once: true});
     location.hash = place;
 })"""
 

@@ -184,7 +184,8 @@ def test_what_a_status_says_of_a_device_that_is_well_is_shown(open_page):
         show(page, 'devices')
         see(page, '.devices td.state', "add '4:MODEL'")
         page.goto(f'{dashboard.address}#/device/dxl_monitor: 004')
-        see(page, '.device-fields .message[data-state=warn]', "add '4:MODEL'")
+        see(page, '.device-head .message', "add '4:MODEL'")
+        see(page, '.device-fields .message', 'No field observed yet.')
         page.context.close()
 
 
@@ -234,7 +235,9 @@ def test_two_robots_have_a_card_each(open_page):
         page = open_page(dashboard.address)
         see(page, '.robot[data-state=error]', 'rover2.*24 devices.*Lost: 007 left_knee')
         see(page, '.robot[data-state=ok]', 'rover1.*All 24 devices connected')
+        see(page, '#headline', '^rover2: 007 silent')
         page.locator('.robot', has_text='rover1').click()
+        page.locator('#headline').wait_for(state='hidden')
         see(page, BAR, 'All 24 devices connected')
         see(page, '#robot', 'rover1')
         assert page.locator(BAR).count() == 1
@@ -246,6 +249,16 @@ def test_two_robots_have_a_card_each(open_page):
         page.locator('.brand').click()
         page.locator('.robot', has_text='rover2').click()
         see(page, BAR, '^007 silent')
+        page.context.close()
+
+
+def test_a_robot_without_a_namespace_has_a_name_among_others(open_page):
+    robots = [SyntheticRobot(namespace=name) for name in ('', 'rover1')]
+    robots[0].lost = robots[1].lost = {7}
+    with Dashboard() as dashboard, Feed(dashboard, robots[0]), Feed(dashboard, robots[1]):
+        page = open_page(dashboard.address)
+        see(page, '#headline', '^2 problems: no namespace: 007 silent; rover1: 007 silent$')
+        assert '2 problems: no namespace: 007 silent; rover1' in page.title()
         page.context.close()
 
 
@@ -693,7 +706,7 @@ def test_on_paper_it_is_black_on_white(dashboard, robot, open_page):
     for view in VIEWS:
         show(page, view)
         page.locator('main .panel, main .device, main .tile').first.wait_for()
-        see(page, '.title, h1, .bar', '')
+        see(page, '.title, h1, main .bar', '')
         page.emulate_media(media='print')
         see(page, '#printed:visible', r'20\d\d-\d\d-\d\d \d\d:\d\d:\d\d \(.*UTC.*\), robot')
         wait(lambda: page.evaluate('document.documentElement.dataset.theme') == 'light')
