@@ -42,7 +42,7 @@ class RobotPart(NamedTuple):
 
     | field | what |
     |---|---|
-    | row_name | the status whose history has its events |
+    | row_name | the status prefix history has its events |
     | bus | None: it is the bridge |
     | problems | of the words above, the first one first in the text; none if it is well |
     | mark, number | for the headline and the tab: '007 silent; 003 too hot'; how many these are |
@@ -157,7 +157,7 @@ def _bus(node: str, bus: str, row: Row | None, devices: list[Row]) -> RobotPart:
     well = '' if found else _well(devices, message)
     rules = {text: _spelt(rule) for rule, text, _ in ([] if row is None else row['findings'])}
     count, mark = _mark(found, rules)
-    whose = bus if bus or since is None else node.rpartition('/')[2]
+    prefix = bus if bus or since is None else node.rpartition('/')[2]
     general = [one.text for one in found if not one.devices]
     number, sick = _mark([one for one in found if one.devices])
     headline = '; '.join(filter(None, (
@@ -165,7 +165,7 @@ def _bus(node: str, bus: str, row: Row | None, devices: list[Row]) -> RobotPart:
     return RobotPart(
         status_name(node, f'bus {bus}'.strip()), (row or devices[0])['robot'], node, bus, level,
         tuple(dict.fromkeys(one.word for one in found)),
-        f'{whose}: {mark}' if whose and mark else mark, headline or well,
+        f'{prefix}: {mark}' if prefix and mark else mark, headline or well,
         '; '.join(one.text for one in found) or well,
         tuple(device['id'] for one in found for device in one.devices),
         general[0] if general else '', count, since, live, len(devices))
@@ -176,8 +176,8 @@ def _mark(found: list[_Problem], rules: Mapping[str, str] = {}) -> tuple[int, st
     ids: dict[str, list[str]] = {}
     for one in found:
         if not one.devices:
-            ids['bus silent' if one.word == SILENT else one.word if one.word in _OF_ALL
-                else rules.get(one.text, _beginning(one.text))] = ['']
+            ids[one.word if one.word in _OF_ALL else rules.get(
+                one.text, 'bus silent' if one.word == SILENT else _beginning(one.text))] = ['']
         for device in one.devices:
             ids.setdefault(_trouble(device), []).append(f'{device["id"]:03}')
     return sum(map(len, ids.values())), '; '.join(

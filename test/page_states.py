@@ -109,8 +109,10 @@ class Robot:
 class Row:
     """A cause, and what of it each way to look at a robot must say (page_states.yaml)."""
 
-    def __init__(self, cause, headline, mark='', problem='', level=2, count='', robots=()):
+    def __init__(self, cause, headline, mark='', problem='', level=2, count='', robots=(),
+                 remedy=''):
         self.cause, self.headline, self.mark, self.problem = cause, headline, mark, problem
+        self.remedy = remedy
         self.robots, self.level, self.count = [
             _robot(**one) for one in robots] or [Robot()], level, count
 

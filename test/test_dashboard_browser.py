@@ -30,6 +30,7 @@ from msg_defs.diagnostics import Metric
 from msg_defs.diagnostics import metric_status
 from msg_defs.diagnostics import Status
 from msg_defs.signal import PointRing
+from servobus.doctor.rules import BY_NAME
 
 WHY_NOT = dashboard_page.why_not()
 pytestmark = [pytest.mark.realtime(bears=0.5),
@@ -488,6 +489,16 @@ def test_error_history_and_findings(page, robot):
     see(page, '.findings', 'Return Delay Time is 250')
 
 
+def test_what_to_do_about_a_finding_is_a_button(page, robot):
+    robot.findings = FINDINGS
+    show(page, 'overview')
+    see(page, '.findings li', 'missing termination|Missing Termination')
+    assert page.get_by_role('link', name='What to do').count() == 1     # none of an unknown rule
+    page.get_by_role('link', name='What to do: return delay').click()
+    see(page, 'h1', '^return delay$')
+    see(page, '.remedy', BY_NAME['return_delay'].advice[1])
+
+
 def test_log_and_timing(page):
     show(page, 'log')
     see(page, '.figures tr', 'time per buffer\\s*0\\.')
@@ -573,7 +584,7 @@ def test_keys(page):
     page.keyboard.press('u')
     see(page, 'h1', 'MX-106')
     page.keyboard.press('?')
-    page.get_by_role('dialog').wait_for()
+    see(page, 'dialog', 'Enter or Shift click[\\s\\S]*wheel, Shift wheel[\\s\\S]*Esc')
     page.keyboard.press('Escape')
     page.keyboard.press('1')
     page.wait_for_selector('.tile')

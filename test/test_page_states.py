@@ -83,6 +83,9 @@ def test_all_six_say_the_same(of, healthy, monkeypatch):
             stage.play(row.robots)
             seen = look(page, row, stage)
             check(row, seen, height)
+            if row.remedy:
+                page.get_by_role('link', name=f'What to do: {row.remedy}').click()
+                page.get_by_role('heading', name=row.remedy).wait_for()
             if folder:
                 page.screenshot(path=Path(folder) / f'{of}-{at:02}.png')
             for place in places(row.robots):

@@ -4,6 +4,7 @@
 
 import {each, h, icon, say, set, setIcon} from './dom.js';
 import {clock} from './format.js';
+import {makeRemedy, showRemedy, spelt} from './finding.js';
 import {Pause} from './pause.js';
 import {path} from './place.js';
 import {deviceName, isQuiet} from './store.js';
@@ -60,17 +61,18 @@ function merged(found) {
   return [...all.values()];
 }
 
-/** An item for one finding: icon, rule, message, and links to its devices. */
+/** An item for one finding: icon, rule, message, what to do, and links to its devices. */
 export const makeFinding = (name, devices = []) => h('li', {}, icon(name), h('b'), h('span'),
-  h('p', {}, ...devices.map((one) => h('a', {href: path('device', one.name)}, deviceName(one)))));
+  h('p', {}, makeRemedy(), ...devices.map((one) => h('a', {href: path('device', one.name)}, deviceName(one)))));
 
 /** Fill an item made by makeFinding; `old` says when it was true, '' while it is. */
 export function showFinding(item, [rule, message, severity], old = '') {
   set(item, 'data-state', severity);
   set(item, 'data-old', old !== '');
   setIcon(item.children[0], severity);
-  say(item.children[1], rule.replaceAll('_', ' '));
+  say(item.children[1], spelt(rule));
   say(item.children[2], old ? `${message} (${old})` : message);
+  showRemedy(item.lastChild.firstChild, rule);
 }
 
 /** 'at 14:02:11, no report since' of a row that is no longer of now; '' of others. */

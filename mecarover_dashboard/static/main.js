@@ -6,6 +6,7 @@ import {BridgeView} from './bridge.js';
 import {DeviceView} from './device.js';
 import {Devices} from './devices.js';
 import {say, set, setIcon} from './dom.js';
+import {FindingView} from './finding.js';
 import {figure, plural, zone} from './format.js';
 import {HistoryView} from './history.js';
 import {listenToKeys} from './keys.js';
@@ -20,8 +21,8 @@ import {Stream} from './stream.js';
 
 const VIEWS = {'': Overview, devices: Devices, device: DeviceView, log: LogView,
   bridge: BridgeView, history: HistoryView, robots: Robots,
-  signals: SignalsView};
-const TAB = {'': 'overview', device: 'devices', robots: ''};
+  signals: SignalsView, finding: FindingView};
+const TAB = {'': 'overview', device: 'devices', finding: 'log', robots: ''};
 const TICK_MS = 1000;          // ages go on while nothing is pushed
 
 const store = new Store();

@@ -39,10 +39,10 @@ const NAMES = Object.keys(MEASURES);
 const PLACES = {position: 4, load: 2, temperature: 0, voltage: 1};
 const share = (value, low, high) => Math.min(1, Math.max(0, (value - low) / (high - low)));
 
-/** Cards; `said`: what a card says of a device whose message is shown elsewhere, '' for nothing. */
-export function showServos(grid, devices, store, said) {
+/** Cards; `texts`: what cards show in place of the message of a device, '' for nothing. */
+export function showServos(grid, devices, store, texts) {
   each(grid, devices, (device) => device.name, makeServo,
-    (item, device) => showServo(item, device, store, said.get(device)));
+    (item, device) => showServo(item, device, store, texts.get(device)));
 }
 
 const makeServo = (device) => h('li', {}, h('a', {class: 'servo',
@@ -51,7 +51,7 @@ h('p', {class: 'servo-head'}, icon('ok'), h('b', {}), h('span')), h('p', {class:
 ...NAMES.map((name) => h('p', {class: `measure ${name}`, title: name},
   h('i', {}, h('i')), h('span')))));
 
-function showServo(item, device, store, said) {
+function showServo(item, device, store, instead) {
   const values = store.values.get(device.name) ?? NONE;
   const [head, text, ...lines] = item.firstChild.children;
   const state = stateOf(device);
@@ -61,10 +61,10 @@ function showServo(item, device, store, said) {
   say(head.children[1], id3(device.id));
   sayInParts(head.children[2], device.joint || device.model);
   const isSick = state !== 'ok';
-  text.hidden = !isSick || said === '';
+  text.hidden = !isSick || instead === '';
   const word = isQuiet(device)
     ? `${wordOf(device)} since ${clock(store.wall(device.quiet_since))}` : wordOf(device);
-  if (isSick) say(text, said ?? (saysMore(device) ? device.message : word));
+  if (isSick) say(text, instead ?? (saysMore(device) ? device.message : word));
   set(item, 'data-sick', isSick);
   const numbers = values.map(numberOf);
   numbers.push(values[3]);
