@@ -35,7 +35,7 @@ from servobus.doctor.rules import BY_NAME
 WHY_NOT = dashboard_page.why_not()
 pytestmark = [pytest.mark.realtime(bears=0.5),
               pytest.mark.skipif(bool(WHY_NOT), reason=WHY_NOT or 'runs')]
-DEADLINE_MS = 60_000           # generous, the machine may be busy
+DEADLINE_MS = 20_000           # generous, the machine may be busy
 BAR = '.buses .buses .bar'            # for a bus; the bridge has its own
 
 

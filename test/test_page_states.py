@@ -95,6 +95,10 @@ def test_all_six_say_the_same(of, healthy, monkeypatch):
                     headline = page.locator('#headline')
                     assert headline.is_visible() is bool(row.mark), (row.cause, place)
                     assert re.search(row.mark, headline.inner_text()), (row.cause, place)
+        dashboard.stop()
+        page.locator('#banner').wait_for()
+        twice += [('no connection', place, text) for place in ('#/log', '#/bridge', '#/')
+                  for text in repeated(page, place)]
         assert not twice, '\n'.join(map(str, twice))
 
 

@@ -8,7 +8,7 @@ const HISTORY_S = 320;
 const SAMPLE_S = 0.4;
 const LOOK_S = 6;                     // so long ROS may need to find who publishes
 export const GAP_S = 3.5;             // without a value for so long: a gap
-const NO_CONNECTION = 'No connection to the dashboard: nothing is known now';
+const NOT_KNOWN = 'not known now';    // the banner says why
 const AWAY = new Set(['disconnected', 'expected']);
 const SECTIONS = ['devices', 'buses', 'bridge', 'timing'];
 export const LEVELS = ['ok', 'warn', 'error', 'stale'];
@@ -168,7 +168,7 @@ export class Store {
     const some = robot === null ? this.all : this.all.filter((part) => part.robot === robot);
     return some.map((part) => this.isLive ? {...part, state: LEVELS[part.level]}
       : {...part, state: 'stale', is_known: false, mark: 'no connection', key: 'no connection',
-        headline: NO_CONNECTION, text: NO_CONNECTION, since: null});
+        headline: NOT_KNOWN, text: NOT_KNOWN, since: null});
   }
 
   /** What a part says, or a text of it, with the time since its last report. */
