@@ -803,8 +803,9 @@ def test_hostile_values_are_text(open_page):
         page.context.close()
 
 
-@pytest.mark.parametrize('address', ['#/device/unknown', '#/devices/x/y', '#/log/%', '#/%ff',
-                                     '#/constructor', '#//', '#/device/'])
+@pytest.mark.parametrize('address', [
+    '#/device/unknown', '#/devices/x/y', '#/log/%', '#/%ff', '#/constructor', '#//', '#/device/',
+    '#/finding/unknown', '#/finding/constructor', '#/finding'])
 def test_any_address(dashboard, robot, open_page, address):
     page = open_page(dashboard.address + address)
     page.locator('main > *').first.wait_for()

@@ -51,7 +51,7 @@ function wanted() {
   const robots = store.robots();
   const robot = place.robot ?? (robots.length === 1 ? robots[0] : null);
   let name = Object.hasOwn(VIEWS, place.view) && place.view !== 'robots' ? place.view : '';
-  if (name === 'device' && !place.rest[0]) name = '';
+  if (['device', 'finding'].includes(name) && !place.rest[0]) name = '';
   if (robot === null && robots.length > 1) name = 'robots';
   return {...place, name, robot, isOne: robots.length < 2 && place.robot === null,
     key: `${name}@${robots.length > 1 || place.robot !== null ? robot : ''}`};
