@@ -12,7 +12,6 @@ from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Sequence
 from functools import partial
-from inspect import getdoc
 from pathlib import Path
 import sys
 
@@ -355,8 +354,7 @@ def doctor() -> str:
 
 def _finding_row(rule: Rule) -> tuple[str, ...]:
     subject = '' if rule.subject == 'device' else f', {rule.subject}'
-    seen, remedy = ' '.join((getdoc(rule.check) or '').split()).removesuffix('.').split('. Do: ')
-    return f'`{rule.name}` {rule.level.name}{subject}', seen, remedy
+    return f'`{rule.name}` {rule.level.name}{subject}', *rule.advice
 
 
 PAGES: dict[str, Callable[[], str]] = {

@@ -9,6 +9,7 @@ reader, the history, /metrics, the alerts and mecarover_status. What is not repo
 from __future__ import annotations
 
 from collections.abc import Iterable
+from collections.abc import Mapping
 from collections.abc import Sequence
 import re
 from textwrap import shorten
@@ -41,11 +42,11 @@ class RobotPart(NamedTuple):
 
     | field | what |
     |---|---|
-    | row_name | the status whose history has its events |
+    | row_name | the status prefix history has its events |
     | bus | None: it is the bridge |
     | problems | of the words above, the first one first in the text; none if it is well |
-    | mark | for the tab: '2 problems: 007 silent; 003 too hot' |
-    | headline | for the page, where each device says itself what to do |
+    | mark, number | for the headline and the tab: '007 silent; 003 too hot'; how many these are |
+    | headline | for its bar, where each device says itself what to do |
     | text | all sentences about it: one problem does not hide another |
     | ids | the devices that are named |
     | of_part | what is said of the part as a whole, '' where only devices have a problem |
@@ -64,6 +65,7 @@ class RobotPart(NamedTuple):
     text: str
     ids: tuple[int, ...] = ()
     of_part: str = ''
+    number: int = 0
     since: float | None = None
     live: int = 0
     total: int = 0
@@ -152,29 +154,34 @@ def _bus(node: str, bus: str, row: Row | None, devices: list[Row]) -> RobotPart:
         level, found = Level.ERROR, [_Problem(PORT_CLOSED, message)]
     else:
         level, found = _judged(Level.OK if row is None else level_of(row), message, devices, live)
-    mark, well = _mark(found), '' if found else _well(devices, message)
+    well = '' if found else _well(devices, message)
+    rules = {text: _spelt(rule) for rule, text, _ in ([] if row is None else row['findings'])}
+    count, mark = _mark(found, rules)
+    prefix = bus if bus or since is None else node.rpartition('/')[2]
     general = [one.text for one in found if not one.devices]
-    headline = '; '.join(filter(None, (*general, _mark([one for one in found if one.devices]))))
+    number, sick = _mark([one for one in found if one.devices])
+    headline = '; '.join(filter(None, (
+        *general, f'{number} problems: {sick}' if number > 1 else sick)))
     return RobotPart(
         status_name(node, f'bus {bus}'.strip()), (row or devices[0])['robot'], node, bus, level,
         tuple(dict.fromkeys(one.word for one in found)),
-        f'{bus}: {mark}' if bus and mark else mark, headline or well,
+        f'{prefix}: {mark}' if prefix and mark else mark, headline or well,
         '; '.join(one.text for one in found) or well,
         tuple(device['id'] for one in found for device in one.devices),
-        general[0] if general else '', since, live, len(devices))
+        general[0] if general else '', count, since, live, len(devices))
 
 
-def _mark(found: list[_Problem]) -> str:
-    """Return '2 problems: 007 silent; 003 too hot'; one alone is not counted."""
+def _mark(found: list[_Problem], rules: Mapping[str, str] = {}) -> tuple[int, str]:
+    """Return how many problems there are, and '007 silent; noise'; rules: names of texts."""
     ids: dict[str, list[str]] = {}
     for one in found:
         if not one.devices:
-            ids[one.word if one.word in (*_OF_ALL, SILENT) else _beginning(one.text)] = ['']
+            ids[one.word if one.word in _OF_ALL else rules.get(
+                one.text, 'bus silent' if one.word == SILENT else _beginning(one.text))] = ['']
         for device in one.devices:
             ids.setdefault(_trouble(device), []).append(f'{device["id"]:03}')
-    number = sum(map(len, ids.values()))
-    text = '; '.join(f'{_list(some)} {word}'.strip() for word, some in ids.items())
-    return text if number < 2 else f'{number} problems: {text}'
+    return sum(map(len, ids.values())), '; '.join(
+        f'{_list(some)} {word}'.strip() for word, some in ids.items())
 
 
 def _trouble(row: Row) -> str:
@@ -183,7 +190,11 @@ def _trouble(row: Row) -> str:
         return SILENT
     rules = [rule for rule, _, severity in row['findings'] if severity == FAULT] \
         or [rule for rule, *_ in row['findings']]
-    return rules[0].replace('_', ' ') if rules else _beginning(str(row['message']))
+    return _spelt(rules[0]) if rules else _beginning(str(row['message']))
+
+
+def _spelt(rule: str) -> str:
+    return rule.replace('_', ' ')
 
 
 def _beginning(text: str) -> str:
@@ -242,20 +253,20 @@ def _bridge(node: str, rows: dict[str, Row]) -> RobotPart:
     worse = max((rows[part] for part in ('commands', 'link') if part in rows),
                 key=lambda row: SEVERITY.index(level_of(row)))
     level, text, since = level_of(worse), str(worse['message']), worse.get('quiet_since')
-    problem = _LEVEL_WORDS.get(level, '')
+    mark = problem = _LEVEL_WORDS.get(level, '')
     if since is not None:
-        problem = NO_REPORT
+        mark = problem = NO_REPORT
         did = dict(rows.get('commands', worse)['values']).get(keys.STATE, 'unknown')
         text = f'No report from {node}: nothing is known of the rover; its last state: {did}'
         if did == DRIVING:
-            level = Level.ERROR
+            level, mark = Level.ERROR, f'{NO_REPORT}, rover may be driving'
             text = f'No report from {node}, and the rover was driving: it may be driving on; ' \
                 'look at it, switch its motors off, restart the bridge'
     elif 'link' in rows and not rows['link']['live']:
-        problem = LOST if level is Level.ERROR else problem
+        mark = problem = LOST if level is Level.ERROR else problem
     return RobotPart(status_name(node, 'link'), worse['robot'], node, None, level,
-                     (problem,) if problem else (), problem and f'bridge: {problem}', text,
-                     text, of_part=text, since=since)
+                     (problem,) if problem else (), mark and f'bridge: {mark}', text,
+                     text, of_part=text, number=bool(mark), since=since)
 
 
 def _since(row: Row | None, devices: list[Row]) -> float | None:

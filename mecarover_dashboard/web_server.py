@@ -44,6 +44,7 @@ from mecarover_dashboard.state import MOST_OF_MESSAGE
 from mecarover_dashboard.state import OVERVIEW
 from mecarover_dashboard.state import State
 from msg_defs.status_keys import FIGURES
+from servobus.doctor import RULES
 
 PUSH_S = 0.2                    # changes are collected for so long
 HASTE_S = 0.05                  # ... once a change of level may be among them
@@ -375,7 +376,9 @@ async def _add_headers(request: web.Request, response: web.StreamResponse) -> No
 def _files() -> dict[str, bytes]:
     folder = resources.files('mecarover_dashboard') / 'static'
     figures = json.dumps([one._asdict() for one in FIGURES])
+    rules = json.dumps({rule.name: rule.advice for rule in RULES})
     return {'figures.js': f'export const FIGURES = {figures};\n'.encode(),
+            'rules.js': f'export const RULES = {rules};\n'.encode(),
             **{file.name: file.read_bytes()
                for file in sorted(folder.iterdir(), key=lambda file: file.name)
                if file.name.rpartition('.')[2] in _TYPES}}

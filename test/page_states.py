@@ -35,6 +35,25 @@ ARM = ('1-6:MX-64',)
 ALERTS = (Path(__file__).parents[1] / 'deploy/alerts.yml').read_text()
 GONE = '/dev/ttyUSB0: there is no such device; plug it in'
 _QUIET_S = 5.0
+PLACES = ('', 'devices', 'device/dxl_monitor: 003', 'log', 'bridge', 'history', 'signals')
+_SENTENCE_MIN_WORDS = 4
+# Go to a place; return the texts that are seen there as (text, list whose lines are records).
+_TEXTS = """(place) => new Promise((done) => {
+    const look = () => {
+        const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+        const found = [];
+        for (let node; (node = walker.nextNode());) {
+            const one = node.parentElement;
+            const records = one.closest('table, .errors, .events');
+            const isSeen = node.data.trim() && one.checkVisibility() && !one.closest('.unseen');
+            if (isSeen) found.push([node.data, records?.className ?? '']);
+        }
+        if (found.some(([text]) => text.startsWith('Waiting'))) setTimeout(look, 20);
+        else done(found);
+    };
+    addEventListener('hashchange', look, {once: true});
+    location.hash = place;
+})"""
 
 
 @cache
@@ -90,8 +109,10 @@ class Robot:
 class Row:
     """A cause, and what of it each way to look at a robot must say (page_states.yaml)."""
 
-    def __init__(self, cause, headline, mark='', problem='', level=2, count='', robots=()):
+    def __init__(self, cause, headline, mark='', problem='', level=2, count='', robots=(),
+                 remedy=''):
         self.cause, self.headline, self.mark, self.problem = cause, headline, mark, problem
+        self.remedy = remedy
         self.robots, self.level, self.count = [
             _robot(**one) for one in robots] or [Robot()], level, count
 
@@ -113,6 +134,28 @@ def _robot(bus=None, port='', **of):
 def rows(of):
     table = Path(__file__).with_suffix('.yaml').read_text(encoding='utf-8')
     return [Row(**row) for row in yaml.safe_load(table)[of]]
+
+
+def places(robots):
+    """Return the places of the page while it shows these robots, the overview last."""
+    if len(robots) == 1:
+        return [f'#/{place}' for place in reversed(PLACES)]
+    return [f'#/@rover{number}/{place.replace("dxl", f"rover{number}%2Fdxl")}'
+            for number in (1, 2) for place in PLACES] + ['#/']
+
+
+def repeated(page, place):
+    """
+    Return the sentences that a place of the page says twice.
+
+    Each line of a table, and of a list of events, is of another device or time.
+    """
+    texts = [(text.lower(), records) for text, records in page.evaluate(_TEXTS, place)]
+    return sorted({part for at, (text, records) in enumerate(texts)
+                   for part in re.split(r'[;.:(]\s|[.)]$', text)
+                   if len(re.findall('[a-z]{2,}', part)) >= _SENTENCE_MIN_WORDS
+                   and any(part in other for one, (other, of) in enumerate(texts)
+                           if one != at and not (records and records == of))})
 
 
 class Clock:
@@ -142,7 +185,11 @@ class Stage:
         self._publish(robots, True)
         if any(robot.silent for robot in robots):
             self._clock.move(_QUIET_S)
-            self._publish(robots, False)
+            self.go_on(robots)
+
+    def go_on(self, robots):
+        """Have those that are not silent report once more."""
+        self._publish(robots, False)
 
     def _publish(self, robots, with_silent):
         for robot in robots:

@@ -124,9 +124,9 @@ def test_the_short_form_keeps_what_only_the_long_one_says(robot):
 def test_a_lost_device_does_not_hide_another_with_an_error(robot):
     robot.lost, robot.faulty, robot.warned = {7}, {8, 9}, {10}
     part = told(robot).parts()[0]
-    assert (part.problems, part.mark, part.ids) \
-        == (('lost', 'error'), '3 problems: 007 silent; 008, 009 hardware error', (7, 8, 9))
-    assert part.headline == part.mark
+    assert (part.problems, part.number, part.mark, part.ids) \
+        == (('lost', 'error'), 3, '007 silent; 008, 009 hardware error', (7, 8, 9))
+    assert part.headline == f'3 problems: {part.mark}'
     assert part.text == ('Lost: 007 left_knee, disconnected: 7 answers missed; '
                          'Error: 008 right_knee, 009 left_ankle_pitch')
 

@@ -15,6 +15,8 @@ from dashboard_page import SIZES
 from harness import wait
 from page_states import alerts
 from page_states import Clock
+from page_states import places
+from page_states import repeated
 from page_states import Robot
 from page_states import rows
 from page_states import Stage
@@ -74,14 +76,30 @@ def test_all_six_say_the_same(of, healthy, monkeypatch):
         width, height = SIZES['phone']
         page = chromium.new_page(viewport={'width': width, 'height': height})
         page.goto(dashboard.address)
+        twice = []
         for at, row in enumerate(rows(of)):
             stage.play(healthy)
             wait(lambda: page.evaluate(WELL))
             stage.play(row.robots)
             seen = look(page, row, stage)
             check(row, seen, height)
+            if row.remedy:
+                page.get_by_role('link', name=f'What to do: {row.remedy}').click()
+                page.get_by_role('heading', name=row.remedy).wait_for()
             if folder:
                 page.screenshot(path=Path(folder) / f'{of}-{at:02}.png')
+            for place in places(row.robots):
+                stage.go_on(row.robots)
+                twice += [(row.cause, place, text) for text in repeated(page, place)]
+                if (len(row.robots) > 1) is (place == '#/'):       # else a bar says it
+                    headline = page.locator('#headline')
+                    assert headline.is_visible() is bool(row.mark), (row.cause, place)
+                    assert re.search(row.mark, headline.inner_text()), (row.cause, place)
+        dashboard.stop()
+        page.locator('#banner').wait_for()
+        twice += [('no connection', place, text) for place in ('#/log', '#/bridge', '#/')
+                  for text in repeated(page, place)]
+        assert not twice, '\n'.join(map(str, twice))
 
 
 def check(row, seen, height):

@@ -7,7 +7,7 @@ import {each, h, icon, say, set, setIcon} from './dom.js';
 import {short, splitUnit} from './format.js';
 import {fillEmpty, metricsHead, metricToPlot, seriesOf, showMetrics} from './parts.js';
 import {Plot} from './plot.js';
-import {messageOf, stateOf} from './store.js';
+import {stateOf} from './store.js';
 
 export class BridgeView {
   constructor() {
@@ -43,9 +43,11 @@ export class BridgeView {
       fillEmpty(this.empty, store, 'vel2d/timing');
       return;
     }
-    this.cards.link.update(link, store.now());
-    this.cards.commands.update(commands, store.now());
-    this.command.update({link, commands});
+    const part = store.bridgePart();
+    const message = part ? store.said(part) : '';
+    this.command.update({link, commands}, message);
+    this.cards.link.update(link, part);
+    this.cards.commands.update(commands, part);
     const metric = this.metric ?? metricToPlot(timing, 'callback_to_write');
     showMetrics(this.rows, [...timing.values()], metric, (name) => {
       this.metric = name;
@@ -61,11 +63,14 @@ function card(title) {
   const rows = h('tbody');
   const element = h('section', {class: 'panel'}, h('h2', {}, title), badge,
     h('table', {class: 'fields facts'}, h('caption', {class: 'unseen'}, title), rows));
-  return {element, update(row, now) {
+  return {element, update(row, part) {
     const state = stateOf(row);
+    const isOld = part?.is_known === false;
+    badge.hidden = isOld || (part && row?.message === part.text);      // said with the command
+    set(element, 'data-old', isOld);
     set(badge, 'data-state', state);
     setIcon(badge.firstChild, state);
-    say(badge.lastChild, row ? messageOf(row, now) : 'no status yet');
+    say(badge.lastChild, row?.message ?? 'no status yet');
     const shown = (row?.values ?? []).filter(([key]) => !COMMAND_KEYS.has(key));
     each(rows, shown, ([key]) => key, makeFact, (line, [key, value]) => {
       say(line.children[1], short(value, 6));

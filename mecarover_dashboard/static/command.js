@@ -15,44 +15,33 @@ export class Command {
   constructor() {
     this.dial = new Dial();
     this.driving = h('p', {class: 'driving'});
-    this.why = h('p', {class: 'message'});
+    this.message = h('p', {class: 'message'});
     this.numbers = AXES.map(([name, , unit]) =>
       h('p', {class: 'axis'}, h('span', {}, name), h('b'), h('small', {}, unit)));
     this.element = h('div', {class: 'command'}, this.dial.element,
-      h('div', {class: 'axes'}, this.driving, ...this.numbers), this.why);
+      h('div', {class: 'axes'}, this.driving, ...this.numbers), this.message);
   }
 
-  update({link, commands}) {
+  /** message: what is said of the bridge, '' where it is said elsewhere in the view. */
+  update({link, commands}, message) {
     const values = AXES.map(([, key]) => valueOf(link, key) ?? '');
     const numbers = values.map(numberOf);
-    const [state, why, note] = said(link, commands);
+    const isSent = !isQuiet(link) && stateOf(link) !== 'error';
+    const state = isSent ? valueOf(commands, 'State') ?? 'unknown'
+      : isQuiet(link) ? 'no report' : 'not sent';
     this.dial.update(...numbers.map((value) => Number.isFinite(value) ? value : 0));
     this.numbers.forEach((element, at) =>
       say(element.children[1], written(numbers[at], values[at])));
     say(this.driving, state);
     set(this.driving, 'data-driving', state === 'driving');
-    set(this.driving, 'data-state', why ? 'error' : null);
-    set(this.element, 'data-old', why !== '');
-    say(this.why, why || note);
-    set(this.why, 'data-state', why ? 'error' : null);
-    this.why.hidden = !why && !note;
+    set(this.driving, 'data-state', isSent ? null : 'error');
+    set(this.element, 'data-old', !isSent);
+    say(this.message, message);
+    set(this.message, 'data-state', isSent ? null : 'error');
+    this.message.hidden = !message || message === state;
     set(this.dial.element, 'aria-label', `Last command: x ${values[0]} m/s, y ${values[1]} m/s, `
       + `omega ${values[2]} rad/s; ${state}`);
   }
-}
-
-/**
- * A word for the state of the command; why it does not reach the rover, '' if it does; what a
- * status that is well says besides.
- */
-function said(link, commands) {
-  if (isQuiet(link)) {
-    return ['no report', 'The bridge is not responding: these values are old.', ''];
-  }
-  if (stateOf(link) === 'error') return ['not sent', link.message, ''];
-  const state = valueOf(commands, 'State') ?? 'unknown';
-  const saysMore = commands && stateOf(commands) === 'ok' && commands.message !== state;
-  return [state, '', saysMore ? commands.message : ''];
 }
 
 function written(number, text) {

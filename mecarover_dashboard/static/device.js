@@ -12,7 +12,7 @@ import {path} from './place.js';
 import {HistoryPanel} from './history_panel.js';
 import {Plot} from './plot.js';
 import {pathOfSignals} from './signals.js';
-import {deviceName, isQuiet, messageOf, saysMore, stateOf, wordOf} from './store.js';
+import {deviceName, isQuiet, saysMore, stateOf, wordOf} from './store.js';
 
 const LATENCY = 'Reply latency';
 const MOST_SERIES = 4;
@@ -111,7 +111,7 @@ export class DeviceView {
       (this.plotted ?? []).filter((key) => key !== LATENCY)));
     this.plot.update(this.#series(table), store.now(),
       {limits: limitsOf(table, this.plotted ?? [])});
-    each(this.findings, device.findings, ([rule]) => rule, () => makeFinding('warn', null),
+    each(this.findings, device.findings, ([rule]) => rule, () => makeFinding('warn'),
       (item, finding) => showFinding(item, finding, wasTrue(device, this.group.part, store)));
     this.errors.update(errorsOf([this.group], store).filter((one) => one.device === device));
     each(this.siblings, this.group.devices, (one) => one.name, makeSibling,
@@ -162,9 +162,10 @@ function aboutOf({model, firmware, bus}) {
 
 /** What the badge and the findings do not say yet. */
 function sentence(device, now) {
-  const isSaid = !isQuiet(device) && (!saysMore(device)
-    || device.findings.some(([, text]) => text === device.message));
-  return isSaid ? '' : messageOf(device, now);
+  const isSaid = device.findings.some(([, text]) => text === device.message);
+  if (!isQuiet(device)) return isSaid || !saysMore(device) ? '' : device.message;
+  return `no report for ${Math.round(now - device.quiet_since)} s`
+    + (isSaid ? '' : `; last: ${device.message}`);
 }
 
 /** What is plotted at first: position, else latency, else the first number. */

@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The control table of a device: name, value, unit, age, source; and its counters below.
 
-import {each, h, icon, say, set} from './dom.js';
+import {each, h, say, set} from './dom.js';
 import {age, numberOf, splitUnit} from './format.js';
 import {saysMore} from './store.js';
 import {shownIn} from './units.js';
@@ -26,7 +26,7 @@ export class Fields {
     this.count = h('span', {class: 'quiet'});
     this.rows = h('tbody');
     this.facts = h('tbody');
-    this.none = h('p', {class: 'message'}, icon('warn'), h('span'));
+    this.none = h('p', {class: 'message', 'data-state': 'stale'});
     this.element = h('section', {class: 'panel device-fields'},
       h('div', {class: 'head'}, h('h2', {}, 'Control table'), this.count, this.search,
         h('div', {class: 'choice'}, this.moving)),
@@ -64,14 +64,11 @@ export class Fields {
 
   /** Say why there is no field. */
   #tell(count) {
-    const isSaid = saysMore(this.device);
     this.none.hidden = count > 0;
-    set(this.none, 'data-state', isSaid ? 'warn' : 'stale');
-    this.none.firstChild.style.display = isSaid ? '' : 'none';
-    say(this.none.lastChild, !this.table ? 'Waiting for its control table.'
+    say(this.none, !this.table ? 'Waiting for its control table.'
       : this.table.fields.length ? 'No field matches.'
-        : isSaid ? this.device.message
-          : 'No field observed yet: the master has not read this device.');
+        : `No field observed yet${saysMore(this.device) ? ''
+          : ': the master has not read this device'}.`);
   }
 
   #make(key) {

@@ -4,6 +4,7 @@
 
 import {each, h, icon, say, set, setIcon} from './dom.js';
 import {clock} from './format.js';
+import {makeRemedy, showRemedy, spelt} from './finding.js';
 import {path} from './place.js';
 import {deviceName, isQuiet} from './store.js';
 
@@ -20,7 +21,7 @@ export class FindingList {
   }
 
   /**
-   * List the findings of buses and their devices, errors first; return how many.
+   * List the findings of buses and their devices, errors first, equal ones once; return how many.
    * isSaid(text, device) leaves out what the view shows elsewhere.
    */
   update(groups, store, isSaid = () => false) {
@@ -30,29 +31,43 @@ export class FindingList {
         .map((finding) => ({finding, row: device, part, device})))])
       .filter(({finding, device}) => !isSaid(finding[1], device))
       .sort((a, b) => RANK[a.finding[2]] - RANK[b.finding[2]]);
-    if (!this.pause.isOn) this.#show(found, store);
+    if (!this.pause.isOn) this.#show(merged(found), store);
     return this.list.childElementCount;
   }
 
   #show(found, store) {
     this.none.hidden = found.length > 0;
-    each(this.list, found, ({finding, row}) => `${finding[0]}|${row.name}`,
-      ({device}) => makeFinding('warn', device),
+    each(this.list, found,
+      ({finding, row, devices}) => [finding[0], row.name, ...devices.map(({id}) => id)].join('|'),
+      ({devices}) => makeFinding('warn', devices),
       (item, {finding, row, part}) => showFinding(item, finding, wasTrue(row, part, store)));
   }
 }
 
-/** An item for one finding: icon, rule, message, and a link to its device. */
-export const makeFinding = (name, device) => h('li', {}, icon(name), h('b'), h('span'),
-  device ? h('a', {href: path('device', device.name)}, deviceName(device)) : null);
+/** What several devices of a bus have is one finding, of all of them. */
+function merged(found) {
+  const all = new Map();
+  for (const {device, ...one} of found) {
+    const key = `${one.part.row_name}|${one.finding}`;
+    if (!all.has(key)) all.set(key, {...one, devices: []});
+    if (device) all.get(key).devices.push(device);
+  }
+  return [...all.values()];
+}
+
+/** An item for one finding: icon, rule, message, what to do, and links to its devices. */
+export const makeFinding = (name, devices = []) => h('li', {}, icon(name), h('b'), h('span'),
+  h('p', {}, makeRemedy(), ...devices.map(
+    (one) => h('a', {href: path('device', one.name)}, deviceName(one)))));
 
 /** Fill an item made by makeFinding; `old` says when it was true, '' while it is. */
 export function showFinding(item, [rule, message, severity], old = '') {
   set(item, 'data-state', severity);
   set(item, 'data-old', old !== '');
   setIcon(item.children[0], severity);
-  say(item.children[1], rule.replaceAll('_', ' '));
+  say(item.children[1], spelt(rule));
   say(item.children[2], old ? `${message} (${old})` : message);
+  showRemedy(item.lastChild.firstChild, rule);
 }
 
 /** 'at 14:02:11, no report since' of a row that is no longer of now; '' of others. */

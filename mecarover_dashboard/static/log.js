@@ -111,14 +111,16 @@ export class LogView {
     const state = stateOf(row);
     set(this.status, 'data-state', state);
     setIcon(this.status.firstChild, state);
-    say(this.status.lastChild, group.part.is_known ? row?.message ?? 'no status of the bus yet'
-      : store.said(group.part));
+    const text = group.part.is_known ? row?.message ?? 'no status of the bus yet'
+      : store.said(group.part);
+    say(this.status.lastChild, text);
+    this.status.hidden = Boolean(row?.findings.some(([, finding]) => finding === text));
     set(this.body, 'data-known', String(group.part.is_known));
     this.findings.update([group], store);
     const doubts = row?.doubts ?? [];
     this.untold.hidden = !doubts.length;
     say(this.untold.firstChild, `${doubts.length} not known yet`);
-    each(this.doubts, doubts, ([rule]) => rule, () => makeFinding('stale', null),
+    each(this.doubts, doubts, ([rule]) => rule, () => makeFinding('stale'),
       (item, [rule, text]) => showFinding(item, [rule, text, 'stale']));
     this.errors.update(errorsOf([group], store));
     each(this.counters, row?.values ?? [], ([key]) => key, makeFact,

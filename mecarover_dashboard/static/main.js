@@ -6,6 +6,7 @@ import {BridgeView} from './bridge.js';
 import {DeviceView} from './device.js';
 import {Devices} from './devices.js';
 import {say, set, setIcon} from './dom.js';
+import {FindingView} from './finding.js';
 import {figure, plural, zone} from './format.js';
 import {HistoryView} from './history.js';
 import {listenToKeys} from './keys.js';
@@ -15,14 +16,14 @@ import {path, readPlace, setRobot} from './place.js';
 import {Player} from './player.js';
 import {Robots} from './robots.js';
 import {SignalsView} from './signals.js';
-import {Store, worst} from './store.js';
+import {robotName, Store, worst} from './store.js';
 import {Stream} from './stream.js';
 import {shownIn, toggleAngles} from './units.js';
 
 const VIEWS = {'': Overview, devices: Devices, device: DeviceView, log: LogView,
   bridge: BridgeView, history: HistoryView, robots: Robots,
-  signals: SignalsView};
-const TAB = {'': 'overview', device: 'devices', robots: ''};
+  signals: SignalsView, finding: FindingView};
+const TAB = {'': 'overview', device: 'devices', finding: 'log', robots: ''};
 const TICK_MS = 1000;          // ages go on while nothing is pushed
 
 const store = new Store();
@@ -51,7 +52,7 @@ function wanted() {
   const robots = store.robots();
   const robot = place.robot ?? (robots.length === 1 ? robots[0] : null);
   let name = Object.hasOwn(VIEWS, place.view) && place.view !== 'robots' ? place.view : '';
-  if (name === 'device' && !place.rest[0]) name = '';
+  if (['device', 'finding'].includes(name) && !place.rest[0]) name = '';
   if (robot === null && robots.length > 1) name = 'robots';
   return {...place, name, robot, isOne: robots.length < 2 && place.robot === null,
     key: `${name}@${robots.length > 1 || place.robot !== null ? robot : ''}`};
@@ -96,7 +97,7 @@ function showTabs() {
     link.hidden = name === 'robots' || (to === 'bridge' && Boolean(store.facts?.source))
       || (to === 'history' && Boolean(store.player));
   }
-  say(at('robot'), robot || (robot === null || store.robots().length < 2 ? '' : 'no namespace'));
+  say(at('robot'), robot || (robot === null || store.robots().length < 2 ? '' : robotName(robot)));
 }
 
 function showAll() {
@@ -114,7 +115,9 @@ function showAll() {
   const words = store.player ? 'recording' : isLive ? 'live' : 'not live';
   if (live) showLive(isLive ? 'ok' : 'stale', words);
   const wrong = parts.filter(({state}) => state !== 'ok');
-  showTitle(wrong);
+  const headline = headlineOf(wrong);
+  showTitle(wrong, headline);
+  showHeadline(wrong, headline);
   showRefused();
   showPrinted();
   at('history').hidden = !store.history;
@@ -123,14 +126,33 @@ function showAll() {
 }
 
 const MARKS = {error: '\u2716', stale: '?', warn: '\u25b2'};      // as the icons on the page
-const withRobot = ({robot}, text) => store.robot === null && robot ? `${robot}: ${text}` : text;
+const withRobot = ({robot}, text) => store.robot === null && store.robots().length > 1
+  ? `${robotName(robot)}: ${text}` : text;
+
+/** '2 problems: 007 silent; 003 too hot'; one alone is not counted. */
+function headlineOf(wrong) {
+  const count = wrong.reduce((sum, part) => sum + part.number, 0);
+  const marks = wrong.map((part) => withRobot(part, part.mark)).join('; ');
+  return count > 1 ? `${count} problems: ${marks}` : marks;
+}
+
+/** Each view but the overview, whose bars say it; without connection the banner does. */
+function showHeadline(wrong, text) {
+  const headline = at('headline');
+  headline.hidden = !wrong.length || !live || document.body.dataset.view === 'overview';
+  if (headline.hidden) return;
+  set(headline, 'href', path());
+  set(headline, 'data-state', wrong[0].state);
+  set(headline, 'data-known', String(wrong[0].is_known));
+  setIcon(headline.firstChild, wrong[0].state);
+  say(headline.lastChild, text);
+}
 
 /** The tab says what is wrong, too: somebody may look at another one. */
-function showTitle(wrong) {
-  const marks = [...new Set(wrong.map((part) => withRobot(part, part.mark)))];
+function showTitle(wrong, headline) {
   document.title = [
     ...!live ? ['? no connection'] : wrong.length
-      ? [`${MARKS[wrong[0].state]} ${marks.join(', ')}`] : [],
+      ? [`${MARKS[wrong[0].state]} ${headline}`] : [],
     view.title, wanted().robot || store.facts.machine].join(' \u00b7 ');
 }
 

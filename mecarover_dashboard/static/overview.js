@@ -5,6 +5,7 @@
 
 import {OverviewSidebar} from './overview_sidebar.js';
 import {each, h, icon, say, set, setIcon} from './dom.js';
+import {makeRemedy, showRemedy} from './finding.js';
 import {id3, isolate, list, short} from './format.js';
 import {path} from './place.js';
 import {fillEmpty} from './parts.js';
@@ -69,6 +70,7 @@ function showBridge(element, {state, is_known: isKnown}, text) {
 }
 
 const makeBus = (group) => h('section', {class: 'bus'}, makeBar(path('devices', group.key)),
+  h('p', {class: 'remedies'}),
   h('div', {class: 'strip', 'aria-hidden': 'true'}),
   h('ul', {class: 'servos'}),
   h('ul', {class: 'alerts'}),
@@ -76,7 +78,7 @@ const makeBus = (group) => h('section', {class: 'bus'}, makeBar(path('devices', 
   h('div', {class: 'bus-line'}, h('p')));
 
 function updateBus(element, group, store, isPaused) {
-  const [bar, strip, , , tiles, line] = element.children;
+  const [bar, remedies, strip, , , tiles, line] = element.children;
   const total = group.devices.length;
   const {is_known: isKnown} = group.part;
   const count = countOf(group.devices, group.part);
@@ -87,6 +89,10 @@ function updateBus(element, group, store, isPaused) {
   say(bar.children[2], group.bus ? `bus ${group.bus}` : '');
   say(bar.children[3], `${count}/${total}`);
   say(bar.lastChild, ` devices connected. ${WORDS[group.state]}`);
+  each(remedies, rulesOf(group), (rule) => rule, makeRemedy, (button, rule) => {
+    showRemedy(button, rule);
+    say(button, button.ariaLabel);
+  });
   set(strip, 'data-many', total > 60);
   each(strip, group.devices, (device) => device.name, makeCell, updateCell);
   set(element, 'data-size', sizeOf(total));
@@ -96,6 +102,14 @@ function updateBus(element, group, store, isPaused) {
   say(line.firstChild, busLine(group));
   set(tiles, 'data-old', !isKnown);
   set(line, 'data-old', !isKnown);
+}
+
+/** The rules of what the bar and the cards say, those of errors first. */
+function rulesOf({row, devices, part, text}) {
+  const shown = [...(row?.findings ?? []).filter((one) => text.includes(one[1])),
+    ...devices.flatMap(({findings, message}) => findings.filter((one) => one[1] === message))];
+  return !part.is_known ? [] : shown.filter((one) => one[2] !== 'ok')
+    .sort((a, b) => RANK[a[2]] - RANK[b[2]]).map(([rule]) => rule);
 }
 
 /** ['2 lost', '1 silent', '1 warning']: how many of some devices have which problem. */
@@ -145,17 +159,18 @@ function alertOf(group, {state, message, devices}) {
   const [first] = devices;
   const isMany = devices.length > 1;
   return {state, message: isolate(message), key: `${first.name} ${isMany}`, devices,
-    isShared: isMany && state !== 'error',
+    isShared: isMany && (state !== 'error' || !group.part.live),
     names: list(devices.map(isMany ? ({id}) => id3(id) : deviceName)),
     href: isMany ? path('devices', group.key) : path('device', first.name)};
 }
 
-function showDevices({children: [, , servos, list]}, group, store) {
-  // What several devices say that wait is said once, below the cards.
-  const shared = new Set(group.alerts.filter(({isShared}) => isShared)
-    .flatMap(({devices}) => devices));
-  showServos(servos, group.devices.filter((one) => one.live || !shared.has(one)).sort(byUrgency),
-    store, shared);
+function showDevices({children: [, , , servos, list]}, group, store) {
+  // What several devices say that wait is said once, below the cards; an error on its first card.
+  const texts = new Map(group.alerts.flatMap(({isShared, devices = []}) => isShared
+    ? devices.map((one) => [one, ''])
+    : devices.slice(1).map((one) => [one, `as ${id3(devices[0].id)}`])));
+  showServos(servos, group.devices.filter((one) => one.live || texts.get(one) !== '')
+    .sort(byUrgency), store, texts);
   set(servos, 'data-old', !group.part.is_known);
   list.hidden = !group.alerts.length;
   each(list, group.alerts, (alert) => alert.key, makeAlert, updateAlert);

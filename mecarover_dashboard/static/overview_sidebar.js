@@ -32,11 +32,12 @@ export class OverviewSidebar {
 
   /** groups are the alerts shown in the same view: a finding with the same text is left out. */
   update(store, groups) {
-    const state = store.bridgePart()?.state ?? null;
+    const bridge = store.bridgePart();
+    const state = bridge?.state ?? null;
     this.bridge.hidden = state === null;
     set(this.bridge.firstChild.firstChild, 'data-state', state);
     setIcon(this.symbol, state ?? 'stale');
-    this.command.update(store.bridgeParts());
+    this.command.update(store.bridgeParts(), state === 'ok' ? bridge.text : '');   // else: its bar
     const isMany = groups.length > 1;
     const series = groups.map((group) => ({name: isMany ? group.label : 'load', unit: '%',
       points: store.metrics(group.node, group.bus).get('bus_load')?.points ?? []}));
@@ -45,7 +46,7 @@ export class OverviewSidebar {
     if (!this.load.hidden) this.plot.update(series, store.now(), {low: 0});
     this.errors.element.hidden = !this.errors.update(errorsOf(groups, store), isMany);
     const isSaid = (text, device) => device ? device.message === text
-      : groups.some(({part}) => part.of_part === text);
+      : groups.some((group) => group.text.includes(text));
     this.findings.element.hidden = !this.findings.update(groups, store, isSaid);
   }
 }

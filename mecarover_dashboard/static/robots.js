@@ -5,7 +5,7 @@
 import {each, h, icon, say, set, setIcon} from './dom.js';
 import {plural} from './format.js';
 import {pathOfRobot} from './place.js';
-import {countOf, WORDS, worst} from './store.js';
+import {countOf, robotName, WORDS, worst} from './store.js';
 
 export class Robots {
   constructor() {
@@ -23,7 +23,6 @@ export class Robots {
 }
 
 const RANK = {error: 0, stale: 1, warn: 2, ok: 3};
-const nameOf = (robot) => robot || 'no namespace';
 
 /** The text on the card of a robot: what its bridge and each of its buses say. */
 function robotOf(store, name) {
@@ -43,7 +42,7 @@ function robotOf(store, name) {
 
 function makeCard({name}) {
   return h('li', {}, h('a', {class: 'robot', href: pathOfRobot(name)},
-    h('p', {class: 'robot-head'}, icon('ok'), h('b', {}, nameOf(name)), h('span')),
+    h('p', {class: 'robot-head'}, icon('ok'), h('b', {}, robotName(name)), h('span')),
     h('ul', {class: 'robot-lines'})));
 }
 

@@ -45,10 +45,10 @@ const NAMES = Object.keys(MEASURES);
 const PLACES = {position: 4, load: 2, temperature: 0, voltage: 1};
 const share = (value, low, high) => Math.min(1, Math.max(0, (value - low) / (high - low)));
 
-/** Cards; what a device of `shared` says is shown elsewhere. */
-export function showServos(grid, devices, store, shared) {
+/** Cards; `texts`: what cards show in place of the message of a device, '' for nothing. */
+export function showServos(grid, devices, store, texts) {
   each(grid, devices, (device) => device.name, makeServo,
-    (item, device) => showServo(item, device, store, !shared.has(device)));
+    (item, device) => showServo(item, device, store, texts.get(device)));
 }
 
 const makeServo = (device) => h('li', {}, h('a', {class: 'servo',
@@ -62,7 +62,7 @@ h('p', {class: 'servo-about'}),
 export const answersOf = ({loss, latency}) => [loss && loss !== '0' && `loss ${short(loss, 2)} %`,
   latency && `${short(latency, 3)} ms`].filter(Boolean).join(' \u00b7 ');
 
-function showServo(item, device, store, isAlone) {
+function showServo(item, device, store, instead) {
   const values = store.values.get(device.name) ?? NONE;
   const [head, text, about, ...lines] = item.firstChild.children;
   const state = stateOf(device);
@@ -72,10 +72,10 @@ function showServo(item, device, store, isAlone) {
   say(head.children[1], id3(device.id));
   sayInParts(head.children[2], device.joint || device.model);
   const isSick = state !== 'ok';
-  text.hidden = !isSick || !isAlone;
+  text.hidden = !isSick || instead === '';
   const word = isQuiet(device)
     ? `${wordOf(device)} since ${clock(store.wall(device.quiet_since))}` : wordOf(device);
-  if (isSick) say(text, saysMore(device) ? device.message : word);
+  if (isSick) say(text, instead ?? (saysMore(device) ? device.message : word));
   set(item, 'data-sick', isSick);
   const isKnown = (name) => Number.isFinite(numberOf(values[PLACES[name]]));
   about.hidden = isKnown('position') || !device.live;

@@ -8,7 +8,7 @@ const HISTORY_S = 320;
 const SAMPLE_S = 0.4;
 const LOOK_S = 6;                     // so long ROS may need to find who publishes
 export const GAP_S = 3.5;             // without a value for so long: a gap
-const NO_CONNECTION = 'No connection to the dashboard: nothing is known now';
+const NOT_KNOWN = 'not known now';    // the banner says why
 const AWAY = new Set(['disconnected', 'expected']);
 const SECTIONS = ['devices', 'buses', 'bridge', 'timing'];
 export const LEVELS = ['ok', 'warn', 'error', 'stale'];
@@ -23,12 +23,12 @@ export const isLost = (device) => stateOf(device) === 'error' && AWAY.has(device
 export const deviceName = (device) =>
   device.joint ? `${id3(device.id)} ${isolate(device.joint)}` : id3(device.id);
 
+/** What a robot is called; its namespace may be empty. */
+export const robotName = (robot) => robot || 'no namespace';
+
 /** Whether a device's status says more than the word of its state; an old one says nothing. */
 export const saysMore = (device) => !isQuiet(device) && device.message !== device.state;
 
-/** What a status says, or since when there is none: its last words are of then. */
-export const messageOf = (row, now) => isQuiet(row)
-  ? `no report for ${Math.round(now - row.quiet_since)} s; last: ${row.message}` : row.message;
 
 /** What is said of a device: the word of its level first, then its state. */
 export function wordOf(device) {
@@ -168,7 +168,7 @@ export class Store {
     const some = robot === null ? this.all : this.all.filter((part) => part.robot === robot);
     return some.map((part) => this.isLive ? {...part, state: LEVELS[part.level]}
       : {...part, state: 'stale', is_known: false, mark: 'no connection', key: 'no connection',
-        headline: NO_CONNECTION, text: NO_CONNECTION, since: null});
+        headline: NOT_KNOWN, text: NOT_KNOWN, since: null});
   }
 
   /** What a part says, or a text of it, with the time since its last report. */

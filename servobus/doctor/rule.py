@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from collections.abc import Set
 from dataclasses import dataclass
 from dataclasses import replace
+from inspect import getdoc
 from inspect import signature
 from math import log
 from typing import Any
@@ -103,6 +104,13 @@ class Rule:
     name: str = ''
     check: Callable[..., Any] = iter
     each_device: bool = False
+
+    @property
+    def advice(self) -> tuple[str, str]:
+        """What is seen, and what to do."""
+        text = ' '.join((getdoc(self.check) or '').split()).removesuffix('.')
+        seen, _, remedy = text.partition('. Do: ')
+        return seen, remedy
 
     def __call__(self, check: Callable[..., Any]) -> Rule:
         """Return the rule with its check."""
