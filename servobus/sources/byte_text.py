@@ -30,7 +30,7 @@ _NUMBERS = re.compile(rf'(?<![0-9a-z.])(?:{_NUMBER}[\s,;:|\[\](){{}}-]*)+', re.I
 _WORD = r'(?:0x)?((?:[0-9a-f]{2}){6,})(?![0-9a-z])'
 _JOINED = re.compile(rf'(?<![0-9a-z])(?:{_WORD}[\s,;|]*)+', re.IGNORECASE)
 _WORDS = re.compile(_WORD, re.IGNORECASE)
-# A count or an ID beside the bytes: `(8 bytes)`, `[8]:`, `len=8`, `id 1:`.
+# A count or an ID next to the bytes: `(8 bytes)`, `[8]:`, `len=8`, `id 1:`.
 _COUNT = re.compile(r'[\[(] ?\d{1,4} ?(?:bytes?)?[])]:?'
                     r'|\b(?:len|length|size|id) ?[=:]? ?\d{1,4}\b:?', re.IGNORECASE)
 _REPEATED = re.compile(r' \| [0-9a-f]{5}  ', re.IGNORECASE)      # by strace -e read=3, as a dump

@@ -512,7 +512,7 @@ def turnaround(case: Case) -> Claims:
 
 
 def _first_bytes_by_chance(damaged: int) -> float:
-    """Return how many first bytes noise hits beside so many damaged packets: rarely more."""
+    """Return how many first bytes noise hits where so many packets are damaged: rarely more."""
     usual = FIRST_BYTE_BY_CHANCE * damaged
     return usual + 2 * sqrt(usual)
 
