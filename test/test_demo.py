@@ -39,7 +39,8 @@ def test_the_table_of_the_demo_fits_a_terminal_and_names_the_boards():
     assert page.endswith(' page: http://127.0.0.1:8420')
 
 
-def test_one_change_of_several_devices_is_one_line_and_the_first_is_none(capsys):
+def test_one_change_of_several_devices_is_one_line_and_the_first_is_none(capsys, monkeypatch):
+    monkeypatch.setenv('COLUMNS', '200')
     robot, state = SyntheticRobot(), State()
     watch = DeviceWatch(state)
     watch._seen[1] = ['expected']

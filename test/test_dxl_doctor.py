@@ -169,7 +169,7 @@ def test_without_times_nothing_is_said_of_times():
     assert 'bus_too_slow' in [entry.rule for entry in said(at_once, wire=slow).wrong]
     found = said(at_once, is_timed=False, wire=slow)
     assert found.wrong == ()
-    assert any('no times' in text for text in found.unknown)
+    assert any('no exact times' in text for text in found.unknown)
 
 
 def test_more_bytes_than_the_rate_can_carry_are_a_wrong_rate():

@@ -188,7 +188,7 @@ class _LineReader:
         bare = _DATE.sub(lambda one: ' ' * len(one[0]), line)
         bare = _TIME.sub(lambda one: ' ' * len(one[0]), bare)
         counts = _COUNT.findall(bare)
-        if len(counts) == 1:                   # of more, as `[FF] [01]`, each is a byte
+        if len(counts) == 1:                   # in `[FF] [01]` each is a byte
             bare = _COUNT.sub(lambda one: ' ' * len(one[0]), bare)
         data, at = _bytes_in(bare)
         side, time = self._side_in(bare[:at]), self._time_in(line[:at])
