@@ -364,7 +364,7 @@ def _usual_instructions(protocol: str) -> frozenset[int]:
                     'unsent instructions'})
 def echo(case: Case) -> Claims:
     """
-    Instructions come back to their master, or are heard twice.
+    Instructions are heard twice; advice where all answers come.
 
     Do: switch the adapter's echo off.
     """
@@ -375,10 +375,16 @@ def echo(case: Case) -> Claims:
             least, heard_back, asked = 1, case.report.kinds.get(ev.ECHO, 0), \
                 case.report.counters['Instructions']
         if heard_back >= least and heard_back > ECHO_MIN_SHARE * asked:
+            windows = [one.window for one in case.devices]
+            answered = sum(one.answers for one in windows)
+            if not case.failed and answered >= heard_back and not any(
+                    one.missed or one.spoilt for one in windows):
+                yield Claim('the adapter echoes, and the program skips that: all answers come',
+                            {'echoes': heard_back}, Level.OK)
+                return
             yield Claim('the master receives what it sends: its adapter echoes; switch the '
                         'echo off, or let the program skip it', {'echoes': heard_back},
-                        None if any(one.window.answers for one in case.devices)
-                        else Level.ERROR)
+                        None if answered else Level.ERROR)
         return
     again = [one for one in case.incidents(ev.REPEATED) if one.detail.us < ECHO_MAX_US]
     answered = sum(cycle.asked > 0 for cycle in case.cycles)
@@ -414,6 +420,8 @@ def duplicate_id(case: Case, device: DeviceReport) -> Found | None:
     is_enough = twice >= (1 if at_end else INCIDENTS_MIN)
     if not models and not (is_enough and twice >= SECOND_ANSWERS_FACTOR * others):
         return None
+    if case.count(ev.STALE) >= INCIDENTS_MIN and twice < case.count(ev.SECOND_ANSWER):
+        return None                    # of several devices: the program reads old answers
     also = ', by two models' if window.model_changes >= 2 else ''
     return Claim(f'answered twice{also}: two devices have this ID; unplug one and '
                  'change the ID of the other',

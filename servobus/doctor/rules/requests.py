@@ -80,6 +80,7 @@ GROUP_READS = (Instruction.SYNC_READ, Instruction.BULK_READ)
 GROUP_READS_MIN = 5                # unanswered, and as many other answers: no loss by chance
 MISSED_ALIKE_MIN_SHARE = 0.9       # share of the missed: a bad plug loses all instructions
 HAVE_SYNC_READ = ('STS', 'SMS', 'HLS')
+NO_BULK_READ = ('AX', 'RX', 'EX', 'DX')
 # Model numbers, and the firmware from which they know fast reads: MX(2.0) never.
 _FAST_SINCE = (((30, 311, 321), 256), (range(1190, 1250), 46), (range(1000, 1400), 45),
                (range(2000, 2130), 12))
@@ -658,11 +659,10 @@ def _fast_reads_since(model_number: int | None) -> int:
 
 @Rule(subject='bus',
       symptoms={'unanswered group reads'},
-      accounts_for={'uneven rhythm', 'missed answers', 'device not served',
-                    'unanswered group reads'})
+      accounts_for={*SILENCE, 'silent bus', 'absence', 'unanswered group reads'})
 def sync_read_unsupported(case: Case) -> Claims:
     """
-    Nothing answers Sync Reads, other instructions are answered (1.0, Feetech SCS).
+    Nothing answers Sync Reads (1.0, SCS) or Bulk Reads (AX), but other instructions.
 
     Do: read one after the other.
     """
@@ -679,6 +679,19 @@ def sync_read_unsupported(case: Case) -> Claims:
                         'only, and Feetech SCS not at all: none is answered, other instructions '
                         'are; read one after the other',
                         {'Sync Reads': cycle.asked})
+        elif cycle.instruction == Instruction.BULK_READ \
+                and case.times_asked(cycle, ANSWERS_OTHERWISE_S) >= INCIDENTS_MIN \
+                and (without := _without_bulk_read(case, cycle)):
+            yield Claim(f'the master sends Bulk Reads, which {without} does not have: none is '
+                        'answered, other instructions are; read one after the other',
+                        {'Bulk Reads': cycle.asked})
+
+
+def _without_bulk_read(case: Case, cycle: Cycle) -> str:
+    """Return a model that is asked, never answers, and has no Bulk Read (e-Manual: MX alone)."""
+    names = [case.by_id[number].model_name for number in cycle.ids if number in case.by_id]
+    return next((name for name in names if name.startswith(NO_BULK_READ)), '') \
+        if cycle.missed >= cycle.asked - 1 else ''
 
 
 def _answer_single_reads(case: Case, cycle: Cycle) -> bool:
