@@ -289,6 +289,17 @@ def test_a_port_that_python_opens_without_pyserial_is_heard(how):
 
 @needs_strace
 @pytest.mark.realtime(bears=0.02)
+def test_a_program_that_python_becomes_is_heard():
+    with peers(lambda data: data) as (far,), TapReader('robot') as reader:
+        done = tap('robot', '--', sys.executable, '-c', 'import os; os.execlp('
+                   f'"sh", "sh", "-c", "exec 3<>$0; printf x >&3", {far.pty.path!r})')
+        assert (done.returncode, done.stdout) == (0, '')
+        told = listen(reader, lambda told: not reader.programs and closed(1)(told))
+        assert heard(told, OUT, far.pty.path) == b'x'
+
+
+@needs_strace
+@pytest.mark.realtime(bears=0.02)
 def test_a_port_that_only_a_child_opens_is_named():
     code = """
         import subprocess

@@ -391,6 +391,10 @@ def _watch_opens(sender: Any) -> None:
             with suppress(Exception):
                 if not sys._getframe(1).f_globals['__name__'].startswith('serial.'):
                     sender.note_open(arguments[0], arguments[2])
+        elif event == 'os.exec':               # another program takes the place of this one
+            with suppress(Exception):
+                if not os.path.basename(os.fsdecode(arguments[0])).startswith('python'):
+                    sender.give_way()
 
     if sys.platform == 'linux':
         sys.addaudithook(look)

@@ -421,7 +421,7 @@ def duplicate_id(case: Case, device: DeviceReport) -> Found | None:
     if not models and not (is_enough and twice >= SECOND_ANSWERS_FACTOR * others):
         return None
     if case.count(ev.STALE) >= INCIDENTS_MIN and twice < case.count(ev.SECOND_ANSWER):
-        return None                    # of several devices: the program reads old answers
+        return None                    # several devices: the program reads old answers
     also = ', by two models' if window.model_changes >= 2 else ''
     return Claim(f'answered twice{also}: two devices have this ID; unplug one and '
                  'change the ID of the other',
