@@ -80,6 +80,7 @@ ALL_TEXT_MIN_BYTES = 10            # where all that came is text
 TEXT_MIN_SHARE = 0.7               # share of the noise; bytes at a wrong rate have less
 WORDS_MIN_SHARE = 0.3              # share of a text that is letters and digits; JSON has few
 TEXT_SHOWN = 24                    # characters
+FOLLOW_S = 1.0                     # a program sets its own rate after that of a servo
 BOOT_S = 2.0                       # a board starts when its port is opened, and prints so long
 COMMON_RATES = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
 RATE_MIN_HEADERS = 3
@@ -250,6 +251,10 @@ def baud_moved(case: Case, device: DeviceReport) -> Found | None:
     to = device.moved_to or (f'code {code}' if code >= 0 else '')
     if not to or to.startswith(words.NEW_ID) or not (code >= 0 or device.state == words.MOVED):
         return None
+    written = case.values[device.id].get('Baud Rate')
+    if written is not None and written.age_s < FOLLOW_S and not (
+            device.missed_in_a_row or device.acks_missing):
+        return None                    # the program may go to that rate, too
     return Claim(f'its baud rate was set to {to}, but the bus is at '
                  f'{case.report.baud} Bd: undo that at the new rate, or set the '
                  'others and the master to it')
