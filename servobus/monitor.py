@@ -379,7 +379,7 @@ class Monitor:
             last_byte_s=(now - self._last) / 1e9 if self._last else None, deaf=self._deaf,
             kinds=dict(evidence.counts), protocol=self.decoder.protocol(), scanned=self._scanned(),
             is_answered=self.decoder.is_answered, has_sides=OUT in self.decoder.framers,
-            is_line_mode=self.decoder.is_line_mode, users=self._users,
+            line_mode=self.decoder.line_mode, users=self._users,
             is_over=self._failed is not None, failed=self._failed or '',
             chain=tuple(expected.id for expected in self.settings.devices),
             tried=frozenset(self._registry.tried))

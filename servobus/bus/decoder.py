@@ -84,7 +84,7 @@ class BusDecoder:
         self.evidence = Evidence()
         self.echo = EchoCounter(self.evidence)
         self.clock = CycleClock()
-        self.is_line_mode = False
+        self.line_mode = 0
         self.registry = DeviceRegistry(models, settings.devices, settings.baud, self.evidence)
         self.choice = DialectChoice(models, settings.protocol)
         self.choice.vote_by_devices(device.dialect for device in self.registry.devices.values())
@@ -237,7 +237,7 @@ class BusDecoder:
         elif what == GAVE_UP:
             self.tracker.unread.report_vain_read(stamp - 1000 * value)
         elif what == LINE_MODE:
-            self.is_line_mode = bool(value)
+            self.line_mode = value
         elif what == AWAY:
             self.tracker.discount_latency(value, stamp)
         elif what in (CLOSED, GONE, LOST):

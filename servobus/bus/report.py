@@ -311,7 +311,7 @@ class BusReport(NamedTuple):
     is_over: bool = False                       # the program that asks has ended
     tried: frozenset[int] = frozenset()         # baud rates of the master, one after the other
     is_answered: bool = True                    # something came to the master, as far as known
-    is_line_mode: bool = False                  # its port's driver waits for the end of a line
+    line_mode: int = 0                          # as LINE_MODE says of the program's port
     failed: str = ''                            # how the program that asks ended, if by an error
     users: tuple[str, ...] = ()                 # who else had the port of that program open
     line_errors: LineErrors | None = None       # since start, where the driver counts them

@@ -63,7 +63,9 @@ _FD = re.compile(rb'(\d+)<((?:\\x[0-9a-f]{2})+)>')
 _STRING = re.compile(rb'"((?:\\x[0-9a-f]{2})*)"')
 _UNFINISHED = b' <unfinished ...>'
 _CFLAG = re.compile(rb'c_cflags?=(0x[0-9a-f]+)')        # the rate, or all flags
-_LFLAG = re.compile(rb'c_lflags?=(0x[0-9a-f]+)')
+_LFLAG = re.compile(rb'c_lflags?=(0x[0-9a-f]+|0)?')     # strace prints nothing for 0
+_IFLAG = re.compile(rb'c_iflags?=(0x[0-9a-f]+|0)?')
+_CHANGING = termios.ICRNL | termios.INLCR | termios.IGNCR | termios.ISTRIP | termios.IXON
 _OSPEED = re.compile(rb'c_ospeed=(\d+)')
 _RATES = {getattr(termios, name): int(name[1:]) for name in dir(termios)
           if re.fullmatch(r'B[1-9]\d*', name)}
@@ -99,7 +101,7 @@ class _TracedPort:
     holders: set[tuple[int, int]] = field(default_factory=set)     # process, descriptor
     rate: int = 0                          # not said yet; 0: nothing new
     has_odd_rate: bool = False             # 38400 may mean any rate
-    has_line_mode: bool = False
+    line_mode: int = 0
     looked: tuple[int, int] | None = None  # for bytes: when, and what it returned
     away_ns: int = 0                       # until bytes were found
     is_awaited: bool = False               # by epoll
@@ -328,10 +330,14 @@ def _ioctl(port: _TracedPort, arguments: bytes, stamp: int) -> PortEvents:
 
 
 def _find_line_mode(port: _TracedPort, settings: bytes, stamp: int) -> PortEvents:
-    flags = _LFLAG.search(settings)
-    if flags and (is_on := bool(int(flags[1], 16) & termios.ICANON)) != port.has_line_mode:
-        port.has_line_mode = is_on
-        yield PortEvent(stamp, port.name, LINE_MODE, value=int(is_on))
+    local, on_input = _LFLAG.search(settings), _IFLAG.search(settings)
+    if local is None:
+        return
+    mode = 1 if int(local[1] or b'0', 16) & termios.ICANON else \
+        2 if on_input and int(on_input[1] or b'0', 16) & _CHANGING else 0
+    if mode != port.line_mode:
+        port.line_mode = mode
+        yield PortEvent(stamp, port.name, LINE_MODE, value=mode)
 
 
 def _rate(port: _TracedPort, stamp: int) -> PortEvents:

@@ -158,18 +158,21 @@ def rate_refused(case: Case) -> Claims:
                     'echo', 'unread bytes', 'wrong length', 'slow cycle'})
 def line_mode(case: Case) -> Claims:
     """
-    Answers are missed or damaged, and the program's port is in line mode (ICANON).
+    Answers are missed or damaged; the program's port is in line mode (ICANON) or changes bytes.
 
     Only strace sees that.
 
     Do: set the port to raw before the first question.
     """
-    if not case.report.is_line_mode:
+    if not case.report.line_mode:
         return
     lost = sum(device.totals.missed for device in case.devices)
     if lost + case.damage >= (1 if case.failed else INCIDENTS_MIN):
-        yield Claim('the port is in line mode (ICANON): its driver holds the answers until a byte '
-                    'is an end of line; let the program set it to raw (cfmakeraw, tty.setraw), or '
+        what = 'is in line mode (ICANON): its driver holds the answers until a byte is an end ' \
+            'of line' if case.report.line_mode == 1 else \
+            'is not raw: its driver changes or takes bytes, as 0D to 0A (ICRNL), or 11 and 13 ' \
+            '(IXON)'
+        yield Claim(f'the port {what}; let the program set it to raw (cfmakeraw, tty.setraw), or '
                     'call `stty raw -echo` before',
                     {'missed or damaged': lost + case.damage})
 
