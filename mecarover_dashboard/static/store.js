@@ -29,7 +29,6 @@ export const robotName = (robot) => robot || 'no namespace';
 /** Whether a device's status says more than the word of its state; an old one says nothing. */
 export const saysMore = (device) => !isQuiet(device) && device.message !== device.state;
 
-
 /** What is said of a device: the word of its level first, then its state. */
 export function wordOf(device) {
   if (isQuiet(device)) return 'no report';

@@ -29,9 +29,9 @@ from servobus.bus.table import Observed
 from servobus.model.control_table import Model
 
 PROTOCOL_2 = 'Dynamixel 2.0'       # besides the names of the dialects of the 1.0 family
+FEW_BYTES = 64                     # without a packet: fewer do not show Protocol 1.0 or Feetech
 
 # State words of a device.
-FEW_BYTES = 64                     # without a packet: fewer do not show Protocol 1.0 or Feetech
 CONNECTED = diagnostics.CONNECTED
 DISCONNECTED = 'disconnected'      # more answers missed in a row than missed_limit
 SILENT = 'silent'                  # not asked, and silent, for silent_after

@@ -155,7 +155,7 @@ class _LineReader:
         return True
 
     def _dump(self, line: str) -> bool:
-        if _REPEATED.match(line) and self.ports | {one.file for one in self.parts} - {''}:
+        if 'strace' in self.shapes and _REPEATED.match(line):
             return True
         found = _DUMP.fullmatch(line.rstrip())
         if found is None:

@@ -218,30 +218,31 @@ def impatient_master(case: Case) -> Claims:
                     f'instruction ran into it {times} times in 10 s; let it wait, or use '
                     'Sync Write',
                     {'instructions into an acknowledgement': times})
-    elif late := _answers_after_it_went_on(case):
-        wait = median(one.us for one in case.waits(WINDOW_S)) / 1000
-        yield Claim(f'the program goes on {max(0.0, wait):.0f} ms after it asked, and answers '
+        return
+    late, wait_us = _answers_after_it_went_on(case)
+    if late:
+        yield Claim(f'the program goes on {wait_us / 1000:.0f} ms after it asked, and answers '
                     f'come later, {late} times in 10 s: let it wait {LONG_WAIT_MS} ms for an '
                     'answer, and clear its input before it asks',
                     {'answers after it went on': late})
 
 
-def _answers_after_it_went_on(case: Case) -> int:
+def _answers_after_it_went_on(case: Case) -> tuple[int, float]:
     """
-    Return how often answers came after a wait that is too short for an adapter, else 0.
+    Return how often answers came after a wait that is too short for an adapter, and that (us).
 
     Only where they are taken for something else: an answer to another question, or a return.
     """
     if ev.LATE not in case.incidents_by_kind and ev.STALE not in case.incidents_by_kind:
-        return 0
+        return 0, 0.0
     waits = [one.us for one in case.waits(WINDOW_S) if not one.is_spoilt]
     late = Counter(one.device for one in first_of_groups(case.incidents(ev.LATE)))
     times = late.total() + case.count(ev.STALE)
     others = case.count(ev.SECOND_ANSWER) + case.count(ev.UNASKED) + case.count(ev.RETURNED)
     if min(len(waits), times, others) < INCIDENTS_MIN or median(waits) >= ADAPTER_HOLD_US:
-        return 0
+        return 0, 0.0
     is_of_one = max(late.values(), default=0) > LATE_ONE_MAX_SHARE * times
-    return 0 if is_of_one and len(case.devices) > 1 else times
+    return 0 if is_of_one and len(case.devices) > 1 else times, max(0.0, median(waits))
 
 
 def _gives_up_at_once(case: Case) -> int:

@@ -61,12 +61,12 @@ class Wire:
         self.byte_ns = 10 * S // baud
         self.echo, self.latency_ns = echo, int(latency_ms * MS)
         self.begins = self.quiet = 0           # from when to when answers are on it
-        self._sent = 0                         # when the last byte of the program is out
+        self.sent = 0                         # when the last byte of the program is out
         self._arrivals, self._count = [], 0
 
     def send(self, data):
-        begin = max(self.clock.now, self._sent)
-        self._sent = end = begin + len(data) * self.byte_ns
+        begin = max(self.clock.now, self.sent)
+        self.sent = end = begin + len(data) * self.byte_ns
         if self.echo:
             self._arrive(end, data)
         if begin < self.quiet and end > self.begins:       # into an answer: the servos hear mud
@@ -145,7 +145,7 @@ class Port:
         return len(data)
 
     def flush(self):
-        self.clock.until(self.wire._sent)
+        self.clock.until(self.wire.sent)
 
     def reset_input_buffer(self):
         del self._inbox[:self.in_waiting]

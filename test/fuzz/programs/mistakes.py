@@ -10,6 +10,7 @@ from fuzz.programs.servos import ALL
 from fuzz.programs.servos import MS
 from fuzz.programs.servos import PING
 from fuzz.programs.servos import READ
+from fuzz.programs.servos import Servo
 from fuzz.programs.servos import SYNC_WRITE
 
 MISTAKES = {}
@@ -230,11 +231,10 @@ def writes_eeprom_under_torque(program):
 
 @mistake('no_answer sync_read_stops all_silent', 'cycle_time')       # all wait behind the first
 def a_servo_dies(program):
-    _some(program).silent = _later(program)
-    if len(program.numbers) == 1:
+    if len(program.numbers) == 1:              # one alone is as a supply that is off
         program.numbers.append(21)
-        program.bus.__init__(program.family, program.numbers, program.chance)
-        _some(program).silent = _later(program)
+        program.bus.servos[21] = Servo(21, program.model, program.chance)
+    _some(program).silent = _later(program)
 
 
 @mistake('all_silent no_answer')
