@@ -25,8 +25,9 @@ UNREAD = 'unread'                  # bytes that the master had received and not 
 GAVE_UP = 'gave_up_us'             # the master looked in vain so long before it wrote or closed
 BUSY = 'busy_us'                   # CPU time of the master's thread in the pause before it wrote
 AWAY = 'away_us'                   # what follows was there: the master did not look for so long
-LINE_MODE = 'line_mode'            # 1: the driver holds what comes until a line ends (ICANON),
-#                                    2: it changes bytes, as 0D to 0A (ICRNL), 0: it is raw
+LINE_MODE = 'line_mode'            # what the driver does with bytes that come; 0: it is raw
+HOLDS_LINES = 1                    # until a line ends (ICANON)
+CHANGES_BYTES = 2                  # as 0D to 0A (ICRNL)
 TRACED = 'traced_us'               # what strace took since the master wrote before
 LOST = 'lost'                      # events or bytes that the source itself lost
 CLOSED = 'closed'                  # the master closed its port

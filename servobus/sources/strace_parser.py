@@ -23,9 +23,11 @@ from typing import NamedTuple
 
 from msg_defs.event import AWAY
 from msg_defs.event import BAUD
+from msg_defs.event import CHANGES_BYTES
 from msg_defs.event import CLOSED
 from msg_defs.event import DTR
 from msg_defs.event import GAVE_UP
+from msg_defs.event import HOLDS_LINES
 from msg_defs.event import IN
 from msg_defs.event import LINE_MODE
 from msg_defs.event import LOST
@@ -333,8 +335,8 @@ def _find_line_mode(port: _TracedPort, settings: bytes, stamp: int) -> PortEvent
     local, on_input = _LFLAG.search(settings), _IFLAG.search(settings)
     if local is None:
         return
-    mode = 1 if int(local[1] or b'0', 16) & termios.ICANON else \
-        2 if on_input and int(on_input[1] or b'0', 16) & _CHANGING else 0
+    mode = HOLDS_LINES if int(local[1] or b'0', 16) & termios.ICANON else \
+        CHANGES_BYTES if on_input and int(on_input[1] or b'0', 16) & _CHANGING else 0
     if mode != port.line_mode:
         port.line_mode = mode
         yield PortEvent(stamp, port.name, LINE_MODE, value=mode)

@@ -18,6 +18,7 @@ from msg_defs.dxl_instruction import error_text
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_packet import BROADCAST
+from msg_defs.event import HOLDS_LINES
 from msg_defs.units import NS_PER_S
 from servobus.bus import evidence as ev
 from servobus.bus.report import BusReport
@@ -164,14 +165,15 @@ def line_mode(case: Case) -> Claims:
 
     Do: set the port to raw before the first question.
     """
-    if not case.report.line_mode:
+    mode = case.report.line_mode
+    if not mode:
         return
-    lost = sum(device.totals.missed for device in case.devices)
+    # What is changed is damaged; a device of which nothing comes is silent for another reason.
+    lost = sum(device.totals.missed for device in case.devices) if mode == HOLDS_LINES else 0
     if lost + case.damage >= (1 if case.failed else INCIDENTS_MIN):
         what = 'is in line mode (ICANON): its driver holds the answers until a byte is an end ' \
-            'of line' if case.report.line_mode == 1 else \
-            'is not raw: its driver changes or takes bytes, as 0D to 0A (ICRNL), or 11 and 13 ' \
-            '(IXON)'
+            'of line' if mode == HOLDS_LINES else 'is not raw: its driver changes or takes ' \
+            'bytes, as 0D to 0A (ICRNL), or 11 and 13 (IXON)'
         yield Claim(f'the port {what}; let the program set it to raw (cfmakeraw, tty.setraw), or '
                     'call `stty raw -echo` before',
                     {'missed or damaged': lost + case.damage})
@@ -692,9 +694,10 @@ def sync_read_unsupported(case: Case) -> Claims:
 
 def _without_bulk_read(case: Case, cycle: Cycle) -> str:
     """Return a model that is asked, never answers, and has no Bulk Read (e-Manual: MX alone)."""
-    names = [case.by_id[number].model_name for number in cycle.ids if number in case.by_id]
-    return next((name for name in names if name.startswith(NO_BULK_READ)), '') \
-        if cycle.missed >= cycle.asked - 1 else ''
+    if cycle.missed < cycle.asked - 1:
+        return ''
+    names = (case.by_id[number].model_name for number in cycle.ids if number in case.by_id)
+    return next((name for name in names if name.startswith(NO_BULK_READ)), '')
 
 
 def _answer_single_reads(case: Case, cycle: Cycle) -> bool:
