@@ -506,7 +506,7 @@ def turnaround(case: Case) -> Claims:
         _first_bytes_by_chance(device.window.spoilt))]
     total = sum(first.values())
     lost = sum(case.by_id[number].window.first_byte_lost for number in first)
-    if not hit or (total - lost <= _first_bytes_by_chance(case.damage) and lost <= case.damage) \
+    if not hit or (total - lost <= FIRST_BYTE_BY_CHANCE * case.damage and lost <= case.damage) \
             or is_overlaid(case) or (case.has_sides and case.count(ev.CUT) >= total):
         return                         # a program that reads one byte too many cuts it off
     if len(first) > 2 and max(first.values()) < ONE_DEVICE_MIN_SHARE * total:
