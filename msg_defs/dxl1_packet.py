@@ -55,7 +55,6 @@ class Dxl1Framer(StreamFramer):
     It repairs nothing: a sum of 8 bits is too weak to repair a header by it.
     """
 
-    __slots__ = ()
     header = HEADER
     has_other = True               # whether some frame of the last chunk is of the 1.0 family
 

@@ -49,8 +49,6 @@ class _BothFramer(Dxl1Framer):
     two: the framer of 2.0, which reads a frame once its place is known; None: 1.0 is all.
     """
 
-    __slots__ = ('two',)
-
     def __init__(self) -> None:
         super().__init__()
         self.two: Framer | None = None
@@ -135,8 +133,6 @@ class _GapFramer(Framer):
     found: what that found. is_open: some bytes wait in it.
     """
 
-    __slots__ = ('_one', 'found', 'is_open')
-
     def __init__(self, one: Dxl1Framer, is_shared: bool) -> None:
         super().__init__(is_shared)
         self.found: Frames = []
@@ -172,9 +168,6 @@ class MixedFramer:
     Good frames of the 1.0 family are packets, damaged ones may be noise: they are handed on once
     something is proven. stamp, side: of the chunk that comes next.
     """
-
-    __slots__ = ('_claimed', '_claimed_bytes', '_detector', '_first_alone', '_is_2_alone', '_one',
-                 '_two', 'bytes', 'has_other', 'held', 'side', 'stamp')
 
     def __init__(self, detector: Detector, side: str = '') -> None:
         self._one = _BothFramer()

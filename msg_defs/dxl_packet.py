@@ -110,9 +110,6 @@ class StreamFramer:
     A protocol adds its header, _scan() and is_whole(). stamp: of the chunk that comes next.
     """
 
-    __slots__ = ('_buffer', '_is_interrupted', '_wanted', 'bad_length', 'bytes', 'crc_errors',
-                 'noise', 'noise_bytes', 'noise_length', 'packets', 'repaired', 'stamp',
-                 'truncated')
     header = b''                   # how a whole frame begins
 
     def __init__(self) -> None:
@@ -206,7 +203,6 @@ class Framer(StreamFramer):
     no end of a packet is held back for it.
     """
 
-    __slots__ = ('is_shared',)
     header = HEADER
     has_other = False              # whether some frame of the last chunk is of the 1.0 family
 

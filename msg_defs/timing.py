@@ -58,8 +58,6 @@ class _Partial(NamedTuple):
 class _Slice:
     """The samples of one slice of time, open for more."""
 
-    __slots__ = ('buckets', 'index', 'maximum', 'minimum', 'pivot', 'squares', 'sum')
-
     def __init__(self, index: int, value: float) -> None:
         self.index = index
         self.pivot = value          # sums of distances from a sample keep their digits
@@ -122,8 +120,6 @@ def _summary(part: _Partial | None) -> Summary | None:
 
 class Series:
     """Samples of one quantity."""
-
-    __slots__ = ('_closed', '_end', '_lock', '_slice', '_state', '_width')
 
     def __init__(self, window_s: float = 10.0) -> None:
         self._width = int(window_s * 1e9 / SLICES)
@@ -189,8 +185,6 @@ class Series:
 
 class Rate:
     """Amounts per second over a sliding window: packets, bytes, errors."""
-
-    __slots__ = ('_end', '_slice', '_slices', '_started', '_width')
 
     def __init__(self, window_s: float = 10.0) -> None:
         self._width = int(window_s * 1e9 / SLICES)

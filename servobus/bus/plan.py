@@ -50,8 +50,6 @@ class Due(Enum):
 class Slot:
     """One expected status: from which device, of how many data, and where these go."""
 
-    __slots__ = ('accept', 'device', 'due', 'size', 'span')
-
     def __init__(self, device: Device, due: Due, address: int, length: int,
                  accept: Accept) -> None:
         self.device = device
@@ -87,8 +85,6 @@ class FastReply:
 
     Struct takes all parts out of the body in one call: slices of each cost more.
     """
-
-    __slots__ = ('_covered', '_fields', '_ids', 'slots')
 
     def __init__(self, accesses: tuple[Access, ...], slots: dict[int, Slot]) -> None:
         self.slots = [slots[access.id] for access in accesses]
@@ -129,9 +125,6 @@ class Plan:
     fast_reply: what it is made of, None where a part of it has no slot. oddities: the kinds
     of incident that each of these instructions is; the first is noted, the others are counted.
     """
-
-    __slots__ = ('asked', 'begin', 'counted', 'fast_reply', 'first', 'missed', 'oddities',
-                 'request', 'slots', 'stamps')
 
     def __init__(self, request: Request, slots: dict[int, Slot],
                  begin: Begin | None = None) -> None:

@@ -56,8 +56,6 @@ def _decoded(field: Field, raw: bytes) -> Value:
 class Image:
     """Bytes with a stamp and a source each; source 0 = never seen."""
 
-    __slots__ = ('data', 'sources', 'stamps')
-
     def __init__(self) -> None:
         self.data = bytearray()
         self.stamps = array('q')
@@ -111,8 +109,6 @@ class _ListenedSpans(dict[Span, tuple[Data, int, int]]):
 
 class Table:
     """The memory image of one device, up to the address `limit`."""
-
-    __slots__ = ('_image', '_latest', 'limit')
 
     def __init__(self) -> None:
         self.limit = USUAL_LIMIT
