@@ -96,6 +96,11 @@ class Request(NamedTuple):
     option: str = ''               # for Factory Reset, Clear and Backup; '' also if unknown
     malformed: bool = False
 
+    @property
+    def address(self) -> int:
+        """The address that it is about, the first one of several; -1 for none."""
+        return self.accesses[0].address if self.accesses else -1
+
 
 Parse = Callable[[int, int, bytes], Request]
 

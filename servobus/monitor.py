@@ -406,7 +406,7 @@ def _cycles(plans: list[Plan]) -> tuple[Cycle, ...]:
     often = sorted(plans, key=attrgetter('asked'), reverse=True)[:CYCLES_REPORTED_MAX]
     return tuple(
         Cycle(plan.request.instruction, tuple(access.id for access in plan.request.accesses)
-              or (plan.request.id,), plan.address if plan.address >= 0 else None,
+              or (plan.request.id,), plan.request.address if plan.request.accesses else None,
               plan.request.accesses[0].length if plan.request.accesses else 0,
               plan.asked, plan.missed, tuple(plan.stamps))
         for plan in often)

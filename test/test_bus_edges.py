@@ -354,7 +354,7 @@ def test_who_had_its_turn(silent, spoke, expected):
     plan = plan_of(1, 2, 3)
     assert plan.served([plan.slots[number] for number in silent], {*spoke}) \
         == tuple(expected)
-    assert (plan.size, plan.address) == (14, 132)
+    assert (plan.size, plan.request.address) == (14, 132)
 
 
 def test_plans_are_counted_and_forgotten_without_losing_counts():

@@ -90,9 +90,8 @@ class BusDecoder:
         self.choice.vote_by_devices(device.dialect for device in self.registry.devices.values())
         self.registry.dialect = self.choice.dialect
         self.detector = Detector() if settings.protocol == 'auto' else None
-        self.classifier = None if settings.protocol == '2' else Dxl1Classifier(
-            self.registry, self.evidence, self.choice, self.detector, self.byte_ns,
-            self.process_frames)
+        self.classifier = Dxl1Classifier(self.registry, self.evidence, self.choice, self.detector,
+                                         self.byte_ns, self.process_frames)
         self.framers: dict[str, AnyFramer] = {}        # by the side that they hear
         self._new_framer(UNKNOWN)
         self.tracker = Tracker(self.registry, self.evidence, self.byte_ns, settings.missed_limit,
@@ -103,14 +102,13 @@ class BusDecoder:
         """Say how long the adapter may keep bytes back: so long a pause is not silence."""
         self.settings = self.settings._replace(latency_timer_ms=latency_timer_ms)
         self.idle_ns = int(1e9 * idle_s(self.settings.baud, latency_timer_ms))
-        if self.classifier is not None:
-            self.classifier.slow_ns = REPLY_LATE_NS + int(1e6 * latency_timer_ms)
+        self.classifier.slow_ns = REPLY_LATE_NS + int(1e6 * latency_timer_ms)
 
     def _new_framer(self, side: str) -> AnyFramer:
         framer: AnyFramer = dxl1_packet.Dxl1Framer()
         if self.detector is not None:
             framer = MixedFramer(self.detector, side)
-        elif self.classifier is None:
+        elif self.settings.protocol == '2':
             framer = Framer()
         self.framers[side] = framer
         return framer
@@ -138,7 +136,7 @@ class BusDecoder:
         if self._split and side == IN:
             self._note_split(frames, stamp)
         if framer.has_other:
-            self._classify(framer, frames, stamp, side)
+            self.classifier.classify(framer, frames, stamp, side)
         else:
             self.process_frames(frames, stamp, framer.bytes, side)
         if side and side == OUT:               # most chunks have no side
@@ -176,14 +174,7 @@ class BusDecoder:
 
     def _flush(self, side: str, framer: AnyFramer, stamp: int) -> None:
         framer.stamp = stamp
-        self._classify(framer, framer.flush_frames(), stamp, side)
-
-    def _classify(self, framer: AnyFramer, frames: Frames, stamp: int, side: str) -> None:
-        """Hand on what a framer found, once it is known what it means."""
-        if self.classifier is None:
-            self.process_frames(frames, stamp, framer.bytes, side)
-        else:
-            self.classifier.classify(framer, frames, stamp, side)
+        self.classifier.classify(framer, framer.flush_frames(), stamp, side)
 
     def process_frames(self, frames: Frames, stamp: int, received: int,
                        side: str = UNKNOWN) -> None:
@@ -201,18 +192,13 @@ class BusDecoder:
             for side, framer in self.framers.items():
                 if framer.pending:
                     self._flush(side, framer, last)
-            self._confirm_waiting()
+            self.classifier.confirm_waiting()
             if not self.tracker.unread.reported_ns:    # else the program may not have read it
                 self.tracker.stop_waiting(now)
         elif now - last > self.idle_ns:
-            self._confirm_waiting()
+            self.classifier.confirm_waiting()
             for framer in self.framers.values():
                 framer.interrupt()
-
-    def _confirm_waiting(self) -> None:
-        """Take what waited for the next frame: the line is idle."""
-        if self.classifier is not None:
-            self.classifier.confirm_waiting()
 
     def process_change(self, change: Change, stamp: int) -> None:
         """Take what a source reported besides bytes."""
@@ -256,7 +242,7 @@ class BusDecoder:
         self._discard_unread(stamp)
         for side, framer in self.framers.items():
             self._flush(side, framer, stamp)
-        self._confirm_waiting()
+        self.classifier.confirm_waiting()
         if IN in self.framers:
             self._report_noise(self.framers[IN])
         self.tracker.lose_track(stamp, lost)
@@ -266,15 +252,13 @@ class BusDecoder:
         """Begin on a new wire: what was on the other one is over, and no damage here."""
         self._end_stream(stamp)
         self.settings = self.settings._replace(baud=baud)
-        self.byte_ns = self.tracker.byte_ns = byte_ns(baud)
-        if self.classifier is not None:
-            self.classifier.byte_ns = self.byte_ns
+        self.byte_ns = self.tracker.byte_ns = self.classifier.byte_ns = byte_ns(baud)
         self.registry.set_baud(baud)
         self.set_latency_timer(self.settings.latency_timer_ms)
 
     def protocol(self) -> str:
         """Return what was heard here, in words: 'Dynamixel 2.0, Feetech'; '' for nothing yet."""
-        other = self.classifier.packets if self.classifier is not None else 0
+        other = self.classifier.packets
         words = [PROTOCOL_2] if self.total('packets') > other else []
         return ', '.join(words + [self.choice.dialect.name] * bool(other))
 
@@ -291,7 +275,7 @@ class BusDecoder:
     def total(self, counter: str) -> int:
         """Return a counter of the framers, over all sides."""
         count: int = sum(getattr(framer, counter) for framer in self.framers.values())
-        if self.classifier is not None and counter in REASONS:
+        if counter in REASONS:
             count += self.classifier.damaged[REASONS[counter]]
         return count
 

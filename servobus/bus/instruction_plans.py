@@ -83,14 +83,6 @@ class Planner:
             Instruction.CONTROL_TABLE_BACKUP: registry.restore,
             CALIBRATE: registry.calibrate,
         }
-        self._slot_makers: dict[Answers, Callable[[Request], list[Slot]]] = {
-            Answers.PING: self._ping_slots,
-            Answers.DATA: self._read_slots,
-            Answers.LISTED: self._read_slots,
-            Answers.COMBINED: self._read_slots,
-            Answers.ADAPTER: self._read_slots,
-            Answers.ACK: self._ack_slots,
-        }
 
     def plan_for(self, raw: RawInstruction, stamp: int) -> Plan:
         """Return the plan of an instruction: kind, ID, code and parameters of its frame."""
@@ -183,8 +175,7 @@ class Planner:
         return plan
 
     def _plan_of(self, request: Request, is_known: bool) -> Plan:
-        make = self._slot_makers.get(request.answers)
-        slots = {slot.device.number: slot for slot in make(request)} if make is not None else {}
+        slots = {slot.device.number: slot for slot in self._slots_of(request)}
         if request.answers is Answers.COMBINED and slots:
             first = next(iter(slots.values())).device
             slots = {BROADCAST: combined_slot(first), **slots}
@@ -192,14 +183,18 @@ class Planner:
             slots[BROADCAST] = combined_slot(slots[request.accesses[-1].id].device)
         return Plan(request, slots, self._begin_of(request) if is_known else None)
 
-    def _ping_slots(self, request: Request) -> list[Slot]:
+    def _slots_of(self, request: Request) -> list[Slot]:
+        """Return the statuses that answer an instruction, one of each device."""
+        if request.answers in (Answers.NONE, Answers.EVERYBODY):
+            return []
+        if request.answers not in (Answers.PING, Answers.ACK):
+            return [self._read_slot(access) for access in request.accesses
+                    if access.id <= self._registry.highest]
         device = self._registry.device(request.id)
+        if request.answers is Answers.ACK:
+            return [Slot(device, Due.ACK, request.address, 0, device.accept_ack)]
         size = 3 if device.dialect is None else 0      # the 1.0 family answers without data
         return [Slot(device, Due.ALWAYS, -1, size, device.accept_pong)]
-
-    def _read_slots(self, request: Request) -> list[Slot]:
-        highest = self._registry.highest
-        return [self._read_slot(access) for access in request.accesses if access.id <= highest]
 
     def _read_slot(self, access: Access) -> Slot:
         device = self._registry.device(access.id)
@@ -207,11 +202,6 @@ class Planner:
         if device.is_defined_by(access.address, access.length):
             accept = partial(self._registry.read_special, device)
         return Slot(device, Due.READ, access.address, access.length, accept)
-
-    def _ack_slots(self, request: Request) -> list[Slot]:
-        device = self._registry.device(request.id)
-        address = request.accesses[0].address if request.accesses else -1
-        return [Slot(device, Due.ACK, address, 0, device.accept_ack)]
 
     def _begin_of(self, request: Request) -> Begin | None:
         """Return what a repetition of this instruction starts, None for one that only asks."""
@@ -225,13 +215,13 @@ class Planner:
         if request.id != BROADCAST:
             device = self._registry.device(request.id)
             if request.accesses:
-                address = request.accesses[0].address
+                address = request.address
                 return lambda params, stamp: (
                     action, (device, address, params[_ADDRESS_SIZE:], stamp))
             arguments = _arguments(request)
             return lambda _, stamp: (action, (device, *arguments, stamp))
         if request.accesses:
-            return partial(self._write_all, action, request.accesses[0].address)
+            return partial(self._write_all, action, request.address)
         return partial(self._command_all, action, request)
 
     def _sync_write(self, params: bytes, stamp: int) -> None:

@@ -195,8 +195,3 @@ class Plan:
     def size(self) -> int:
         """How much memory it takes, in slots; a plan by itself is as large as eight."""
         return 8 + len(self.slots) + len(self.request.accesses)
-
-    @property
-    def address(self) -> int:
-        """The address it is about, -1 if none."""
-        return self.request.accesses[0].address if self.request.accesses else -1
