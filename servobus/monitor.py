@@ -143,7 +143,7 @@ class Monitor:
                     self._listen_until(stamp)
                 else:
                     self._flush_if_idle(stamp if side == OUT else stamp - int(
-                        len(data) * self.decoder.byte_ns))
+                        len(data) * self._registry.byte_ns))
                 try:
                     self.decoder.process_chunk(data, stamp, side)
                 except Exception as mistake:
@@ -175,7 +175,7 @@ class Monitor:
         self.change(Change(CLOSED, 1), now)
         with self._lock:
             self._failed, self._users = failed, tuple(users)
-            self._tracker.unread.judge_last(now, bool(failed), self.decoder.byte_ns)
+            self._tracker.unread.judge_last(now, bool(failed))
 
     def alarms(self) -> int:
         """Return how often so far a device was lost, came back or had an alert."""
@@ -394,8 +394,8 @@ class Monitor:
     def _metrics(self, now: int, rates: dict[str, float]) -> tuple[Metric, ...]:
         values = [('byte_rate', 'B/s', rates['bytes']), ('packet_rate', 'Hz', rates['packets']),
                   ('error_rate', 'Hz', rates['errors'])]
-        if self.decoder.byte_ns:          # the rate is known
-            values.append(('bus_load', '%', rates['bytes'] * self.decoder.byte_ns / 1e7))
+        if self._registry.byte_ns:          # the rate is known
+            values.append(('bus_load', '%', rates['bytes'] * self._registry.byte_ns / 1e7))
         return (*(Metric(name, unit, one.summary(now), one.total(), bus=self.name)
                   for (name, unit), one in zip(_SERIES, self._series, strict=True)),
                 *self.decoder.clock.metrics(now, self.name),

@@ -299,7 +299,7 @@ class UnreadRun:
             self.unread.report_waiting(waiting, 0, S)
         if unsent:
             self.unread.report_unsent(S, S)
-        return unread.MISSED if self.unread.end_question(self.question, 2 * S, 1000) else ''
+        return unread.MISSED if self.unread.end_question(self.question, 2 * S) else ''
 
     def purge(self, waiting=0):
         self.unread.report_waiting(waiting, 0, S)
@@ -317,7 +317,7 @@ class UnreadRun:
             unread.NOT_READ_PURGED: lambda: self.next_question(waiting=3, purged=True),
             unread.ANSWERED: self.hear_answer,
             unread.DAMAGED: lambda: self.hear_answer(Flaw('crc')),
-            unread.EXPIRED: lambda: self.unread.judge_expired(2 * S, 1000),
+            unread.EXPIRED: lambda: self.unread.judge_expired(2 * S),
             unread.PURGED: lambda: self.purge(7),
             unread.PURGED_NOTHING: self.purge,
             unread.CLOSED: lambda: self.unread.close(self.question, 2 * S),
@@ -394,7 +394,7 @@ def test_64_lists_of_sync_writes_are_kept():
 @pytest.mark.parametrize('noise', [b'', b'\0\0'])
 def test_what_a_master_did_not_stuff_is_noted(data, detail, noise):
     one = registry()
-    tracker = Tracker(one, one._evidence, 5_000, 4, 'auto')
+    tracker = Tracker(one, one._evidence, 4, 'auto')
     framer = Framer()
     wire = noise + encode(3, 3, b'\x74\0' + data, stuffed=False) + encode(3, STATUS, error=0)
     tracker.process_frames(framer.frames(wire), S, framer.bytes)

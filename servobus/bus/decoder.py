@@ -29,7 +29,6 @@ from msg_defs.event import PURGED
 from msg_defs.event import UNKNOWN
 from msg_defs.event import UNREAD
 from msg_defs.frame import Frames
-from msg_defs.uart import byte_ns
 from msg_defs.uart import idle_s
 from servobus.bus import evidence as ev
 from servobus.bus.cycle_time import CycleClock
@@ -77,7 +76,6 @@ class BusDecoder:
 
     def __init__(self, models: Models, settings: Settings = DEFAULTS) -> None:
         self.settings = settings
-        self.byte_ns = byte_ns(settings.baud)
         self._last_in = 0                     # stamp of the last bytes to the master, if known
         self._noise_in = 0                    # bytes of noise to it that were looked at
         self._split = 0                       # offset in an answer at which it asked, 0: none
@@ -91,10 +89,10 @@ class BusDecoder:
         self.registry.dialect = self.choice.dialect
         self.detector = Detector() if settings.protocol == 'auto' else None
         self.classifier = Dxl1Classifier(self.registry, self.evidence, self.choice, self.detector,
-                                         self.byte_ns, self.process_frames)
+                                         self.process_frames)
         self.framers: dict[str, AnyFramer] = {}        # by the side that they hear
         self._new_framer(UNKNOWN)
-        self.tracker = Tracker(self.registry, self.evidence, self.byte_ns, settings.missed_limit,
+        self.tracker = Tracker(self.registry, self.evidence, settings.missed_limit,
                                settings.write_acks)
         self.set_latency_timer(settings.latency_timer_ms)
 
@@ -121,7 +119,7 @@ class BusDecoder:
         """
         framer = self.framers.get(side) or self._new_framer(side)
         if side:
-            wire_ns = len(chunk) * self.byte_ns
+            wire_ns = len(chunk) * self.registry.byte_ns
             if side == OUT:
                 self._end_reply(stamp)
                 self.echo.process_sent(chunk)
@@ -150,14 +148,15 @@ class BusDecoder:
         framer = self.framers.get(IN)
         if framer is None:
             return
-        plan, came = self.tracker.pending, framer.bytes - self.tracker.quiet_from
+        tracker = self.tracker
+        plan, came = tracker.pending, framer.bytes - tracker.quiet_from
         if framer.pending and (stamp - self._last_in > self.idle_ns or came >= plan.answers_size):
             self._flush(IN, framer, self._last_in)
         self._report_noise(framer)
-        self.tracker.unread.count_overlong_reply(plan, came, framer.noise_length > 0)
-        self.tracker.quiet_from = framer.bytes - framer.pending
+        tracker.unread.count_overlong_reply(plan, came, framer.noise_length > 0)
+        tracker.quiet_from = framer.bytes - framer.pending
         self._split = framer.bytes if framer.pending else 0
-        self.tracker.unread.judge_expired(stamp, self.byte_ns)
+        tracker.unread.judge_expired(stamp)
 
     def _note_split(self, frames: Frames, stamp: int) -> None:
         """Note a whole answer of which the program read a part, then asked, then read the rest."""
@@ -252,7 +251,6 @@ class BusDecoder:
         """Begin on a new wire: what was on the other one is over, and no damage here."""
         self._end_stream(stamp)
         self.settings = self.settings._replace(baud=baud)
-        self.byte_ns = self.tracker.byte_ns = self.classifier.byte_ns = byte_ns(baud)
         self.registry.set_baud(baud)
         self.set_latency_timer(self.settings.latency_timer_ms)
 
@@ -269,7 +267,7 @@ class BusDecoder:
 
     def cycle(self, now: int) -> CycleTimes | None:
         """Return where the time of the master's cycle goes; None without a cycle."""
-        unknown = NO_SIDES if OUT not in self.framers else '' if self.byte_ns else NO_RATE
+        unknown = NO_SIDES if OUT not in self.framers else '' if self.registry.byte_ns else NO_RATE
         return self.clock.times(now, unknown)
 
     def total(self, counter: str) -> int:

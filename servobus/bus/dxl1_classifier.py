@@ -73,13 +73,12 @@ class Dxl1Classifier:
     """
 
     def __init__(self, registry: DeviceRegistry, evidence: Evidence, choice: DialectChoice,
-                 detector: Detector | None, byte_ns: float, process: Process) -> None:
+                 detector: Detector | None, process: Process) -> None:
         self._process = process
         self._evidence = evidence
         self._registry = registry
         self._choice = choice
         self._detector = detector
-        self.byte_ns = byte_ns
         self.slow_ns = REPLY_LATE_NS             # and the adapter may keep bytes back for longer
         self.packets = 0                   # those of the 1.0 family
         self.damaged: Counter[str] = Counter()     # those under `auto`
@@ -103,7 +102,7 @@ class Dxl1Classifier:
         is_noisy = False
         proving = self._proof(detector) if detector is not None and detector.proof else None
         for frame in frames:
-            kind, number, flaw = frame[2], frame[3], frame[6]
+            _, _, kind, number, _, _, flaw = frame
             if flaw is not None and flaw.noise_length > GLITCH:
                 is_noisy = True
             if self._unconfirmed is not None:
@@ -213,7 +212,7 @@ class Dxl1Classifier:
                 kind, params = in_common(code, number, params)
                 return begin, end, kind, number, code, params, flaw
         elif side == OUT or awaited is None or code:
-            ended = stamp - (received - end) * self.byte_ns
+            ended = stamp - (received - end) * self._registry.byte_ns
             is_status = side != OUT and self._is_status((number, code, params), ended, awaited)
             if is_status is None:
                 return _as_open(frame)
@@ -253,7 +252,7 @@ class Dxl1Classifier:
             return False
         if self._errors.get(number) == code and size == awaited:
             return True                    # it says so all the time
-        waited = ended - (size + 6) * self.byte_ns - self._asked_ns
+        waited = ended - (size + 6) * self._registry.byte_ns - self._asked_ns
         if waited >= self.slow_ns or size not in (awaited, 0):
             return False
         if waited <= REPLY_SURE_NS and (content != self._asked or number in self._errors):

@@ -7,7 +7,6 @@ A write to one device takes effect when the device acknowledges it, or does not 
 the device refuses never gets into its table. Where no answer is due it takes effect at once.
 """
 
-from collections.abc import Callable
 from collections.abc import Container
 from functools import partial
 from itertools import islice

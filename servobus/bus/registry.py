@@ -17,6 +17,7 @@ from msg_defs.dxl_instruction import ERROR
 from msg_defs.dxl_instruction import MULTI_TURN
 from msg_defs.dxl_instruction import RESTORE
 from msg_defs.dxl_packet import BROADCAST
+from msg_defs.uart import byte_ns
 from servobus.bus import evidence as ev
 from servobus.bus.device import Device
 from servobus.bus.device import OFFSET
@@ -55,7 +56,7 @@ _CLEARS = {MULTI_TURN: PLACE, ERROR: 'Hardware Error Status'}
 
 class DeviceRegistry:
     """
-    The devices, by the ID they answer to. baud: the rate of this bus.
+    The devices, by the ID they answer to. baud: the rate of this bus; byte_ns: what it means.
 
     plans_hold: False once a device has another ID or model: plans made before are no longer right.
     new_ids: of devices that were made since somebody cleared it.
@@ -64,7 +65,7 @@ class DeviceRegistry:
     def __init__(self, models: Models, expected: Iterable[Expected], baud: int,
                  evidence: Evidence) -> None:
         self._models = models
-        self.baud = baud
+        self.baud, self.byte_ns = baud, byte_ns(baud)
         self.tried = {baud}                # rates, one after the other
         self._evidence = evidence
         self.devices: dict[int, Device] = {}
@@ -337,7 +338,7 @@ class DeviceRegistry:
 
     def set_baud(self, baud: int) -> None:
         """Follow the master to another rate, as devices do whose rate it has changed."""
-        self.baud = baud
+        self.baud, self.byte_ns = baud, byte_ns(baud)
         self.tried.add(baud)
         for device in self.devices.values():
             if not device.heard:               # it may not have been meant at all

@@ -210,17 +210,12 @@ class Table:
         `keep`. Bytes the model does not know are forgotten.
         """
         names = set(keep)
-        old = self._settle()
-        new = Image()
+        image = self._settle()
+        kept = bytearray(len(image.sources))
         for field in model.fields:
-            kept = field.name in names or (memory == 'ram' and field.memory == 'eeprom')
-            if kept:
-                end = min(field.end, len(old.data))
-                new.grow(end)
-                new.data[field.at:end] = old.data[field.at:end]
-                new.stamps[field.at:end] = old.stamps[field.at:end]
-                new.sources[field.at:end] = old.sources[field.at:end]
-        self._image = new
+            if field.name in names or (memory == 'ram' and field.memory == 'eeprom'):
+                kept[field.at:field.end] = image.sources[field.at:field.end]
+        image.sources = kept
 
     def _resolved(self, model: Model) -> Image:
         image = self._settle()

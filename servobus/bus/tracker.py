@@ -54,9 +54,9 @@ _NOTHING = (-1, -1, -1, b'')
 class Tracker:
     """Follows one bus. Feed it what the Framer finds, in order."""
 
-    def __init__(self, registry: DeviceRegistry, evidence: Evidence, byte_ns: float,
-                 missed_limit: int, write_acks: str) -> None:
-        self._registry, self.byte_ns = registry, byte_ns
+    def __init__(self, registry: DeviceRegistry, evidence: Evidence, missed_limit: int,
+                 write_acks: str) -> None:
+        self._registry = registry
         self.planner = planner = Planner(registry, evidence)
         self._known = planner.known
         self._evidence, self._add_incident = evidence, evidence.add_incident
@@ -395,7 +395,7 @@ class Tracker:
         due = [*filter(self._policy.is_due, slots.values())]
         if due:
             self._end_question(self._open_question(due), following,
-                               int(stamp - (received - began) * self.byte_ns), stamp)
+                               int(stamp - (received - began) * self._registry.byte_ns), stamp)
         elif slots and self.unread.reported_ns:        # only a tap says what waits
             self.unread.keep_uncertain(self._open_question([*slots.values()]))
         if self._deferred is not None and (not due or self._state >= pairing.SPOILT):
@@ -405,7 +405,7 @@ class Tracker:
     def _end_question(self, question: OpenQuestion, following: RawInstruction, now: int,
                       stamp: int) -> None:
         """Judge a question with answers that were due and did not come, or have it deferred."""
-        if not self.unread.end_question(question, now, self.byte_ns):
+        if not self.unread.end_question(question, now):
             self._given_up = _NO_SLOTS
             return
         first = question.due[0]
@@ -422,12 +422,12 @@ class Tracker:
 
     def _on_wire(self, offset: int, received: int, stamp: int) -> float:
         """Return when this offset was on the wire, from the end and the stamp of its chunk."""
-        return stamp - (received - offset) * self.byte_ns
+        return stamp - (received - offset) * self._registry.byte_ns
 
     def _sample_latency(self, device: Device, began: int, received: int, stamp: int) -> None:
         if device is not self.pending.first or self._state == DOUBTFUL:
             return                             # another device had its turn before it
         device.latency_resolved += 1
         end, asked_received, asked = self._asked       # as _on_wire(), which costs more
-        wait = stamp - asked - (received - began - asked_received + end) * self.byte_ns
+        wait = stamp - asked - (received - began - asked_received + end) * self._registry.byte_ns
         device.latency.add(wait / 1e6 if wait > 0 else 0.0, stamp)

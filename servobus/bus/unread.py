@@ -201,19 +201,19 @@ class UnreadAnswers:
 
     # --- a question is over ---------------------------------------------------------------------
 
-    def end_question(self, question: OpenQuestion, now: int, byte_ns: float) -> bool:
+    def end_question(self, question: OpenQuestion, now: int) -> bool:
         """Accept a question with answers that are due; return whether these are missed."""
         if self._unsent_ns == question.asked:
             self._note_unsent(question, now)
             event = NOT_SENT
         elif not self.old_until and (
                 not self.reported_ns or question.is_spoilt or self._has_waited(question)
-                or self._has_had_time(question, now, byte_ns)):
+                or self._has_had_time(question, now)):
             event = WAITED
         else:
             event = NOT_READ if self._purged_ns < question.asked else NOT_READ_PURGED
             waited, slot = now - question.asked, question.due[0]
-            if waited < byte_ns * (STATUS_OVERHEAD_1 + slot.size):      # no answer is over so soon
+            if waited < self._registry.byte_ns * (STATUS_OVERHEAD_1 + slot.size):  # it is too soon
                 self._evidence.add_wait(Wait(now, waited // 1000, slot.device.number, False))
         state = NEXT[PENDING][event]
         if state == MISSED:
@@ -233,10 +233,10 @@ class UnreadAnswers:
                 lives or now - asked < ADAPTER_DELAY_NS):
             self._given_up.append((slot, now))
 
-    def judge_expired(self, now: int, byte_ns: float) -> None:
+    def judge_expired(self, now: int) -> None:
         """Judge what was deferred long enough ago, where nothing waits."""
         while not self.old_until and self.deferred \
-                and self._has_had_time(self.deferred[0], now, byte_ns):
+                and self._has_had_time(self.deferred[0], now):
             self._end_deferred(self.deferred[0], EXPIRED, now)
 
     def close(self, pending: OpenQuestion | None, stamp: int) -> None:
@@ -270,11 +270,11 @@ class UnreadAnswers:
         """Return whether the program looked for the answer for some time."""
         return self._vain_read_ns > question.asked + NO_WAIT_NS
 
-    def _has_had_time(self, question: OpenQuestion, now: int, byte_ns: float,
+    def _has_had_time(self, question: OpenQuestion, now: int,
                       delay_ns: float = ADAPTER_DELAY_NS) -> bool:
         """Return whether all answers would have come by now."""
         size = sum(slot.size + STATUS_OVERHEAD for slot in question.due)
-        return now - question.asked >= delay_ns + byte_ns * size
+        return now - question.asked >= delay_ns + self._registry.byte_ns * size
 
     # --- what the program reads -----------------------------------------------------------------
 
@@ -370,7 +370,7 @@ class UnreadAnswers:
 
     # --- the program has ended ------------------------------------------------------------------
 
-    def judge_last(self, end: int, failed: bool, byte_ns: float) -> None:
+    def judge_last(self, end: int, failed: bool) -> None:
         """
         Judge the questions that a program ended with, if their answers had their time.
 
@@ -386,7 +386,7 @@ class UnreadAnswers:
                 self._evidence.add_incident(end, ev.HUNG, slot.device.number,
                                             ev.Lateness(waited // 1000))
             else:
-                self._judge_open(question, failed, question is questions[-1], byte_ns)
+                self._judge_open(question, failed, question is questions[-1])
         questions.clear()
 
     def _reads_acks(self, question: OpenQuestion, slot: Slot) -> bool:
@@ -395,8 +395,7 @@ class UnreadAnswers:
         return bool(slot.device.acks) and (
             self.reported_ns > question.asked or (plan.asked > ACKS_READ_MIN and not plan.missed))
 
-    def _judge_open(self, question: OpenQuestion, failed: bool, is_last: bool,
-                    byte_ns: float) -> None:
+    def _judge_open(self, question: OpenQuestion, failed: bool, is_last: bool) -> None:
         now = max(self.reported_ns, self._vain_read_ns)
         slots = [*question.plan.slots.values()]
         is_passed = bool(slots) and slots[-1] not in question.due      # the others had a turn
@@ -411,17 +410,16 @@ class UnreadAnswers:
         if self._unsent_ns == question.asked:
             self._note_unsent(question, now)
         elif failed and (is_passed or question.is_spoilt or question.damaged_ids
-                       or self._had_time_at_end(question, due, now, byte_ns)):
+                       or self._had_time_at_end(question, due, now)):
             self._policy.judge_question(question._replace(due=due), now, now, us)
         elif is_last and (failed or not due[0].device.heard):
             self._evidence.add_incident(now, ev.LEFT_OPEN, due[0].device.number, ev.Lateness(us))
 
-    def _had_time_at_end(self, question: OpenQuestion, due: list[Slot], now: int,
-                         byte_ns: float) -> bool:
+    def _had_time_at_end(self, question: OpenQuestion, due: list[Slot], now: int) -> bool:
         """Return whether all answers would have come, to a program that read all that did."""
         delay_ns = ADAPTER_DELAY_NS if any(slot.due is Due.ACK for slot in due) \
             else self._slowest_ns()
-        return self._has_had_time(question, now, byte_ns, delay_ns) \
+        return self._has_had_time(question, now, delay_ns) \
             and not self.old_until and self._purged_ns < question.asked
 
     def _slowest_ns(self) -> float:
