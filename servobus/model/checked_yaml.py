@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections import Counter
 import errno
-import os
 from pathlib import Path
 import re
 import reprlib
@@ -97,25 +96,14 @@ def read_yaml(path: Path) -> Any:
 def read_file(path: Path) -> bytes:
     """Return the bytes of a model file; ModelError where it cannot be read."""
     try:
-        return _content(path)
+        if not stat.S_ISREG(path.stat().st_mode):      # a pipe would keep us waiting
+            raise OSError(errno.EINVAL, 'not a file')
+        if path.stat().st_size > FILE_LIMIT:
+            raise OSError(errno.EFBIG, f'longer than {FILE_LIMIT} bytes')
+        return path.read_bytes()
     except OSError as error:
         raise ModelError(path, '', f'cannot be read: {error.strerror}',
                          'check the file and its permissions') from None
-
-
-def _content(path: Path) -> bytes:
-    """Return the bytes of a file; OSError for a pipe, a folder, and what is not a model file."""
-    with open(path, 'rb', opener=_open) as file:
-        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise OSError(errno.EINVAL, 'not a file')
-        text = file.read(FILE_LIMIT + 1)
-    if len(text) > FILE_LIMIT:
-        raise OSError(errno.EFBIG, f'longer than {FILE_LIMIT} bytes')
-    return text
-
-
-def _open(path: str, flags: int) -> int:
-    return os.open(path, flags | os.O_NONBLOCK)        # a pipe would keep us waiting
 
 
 def _check_weight(text: bytes) -> None:
