@@ -25,6 +25,7 @@ from msg_defs.dxl_instruction import NAMES
 from msg_defs.dxl_instruction import parse
 from msg_defs.dxl_instruction import Request
 from msg_defs.dxl_instruction import RESET_ALL
+from msg_defs.dxl_instruction import span_at
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.frame import INSTRUCTION_2
 from servobus.bus import evidence as ev
@@ -47,7 +48,6 @@ TARGETS_KEPT = 64                  # different lists of IDs in Sync Writes
 SLOTS_KEPT = 32_768                # the size of all plans together: 3000 different reads
 BYTES_PER_SLOT = 32                # so many bytes of a plan's key count as one slot
 _ADDRESS_SIZE = 2                  # in front of what is written
-_span_at = Struct('<HH').unpack_from
 NO_PLAN = Plan(Request(0, 0xFF, Answers.NONE), {})
 
 _KEY_SIZE = {code: kind.key_size for code, kind in KINDS.items()}
@@ -225,7 +225,7 @@ class Planner:
 
     def _sync_write(self, params: bytes, stamp: int) -> None:
         """Write to many. Robots send this most of all, so it is not parsed each time."""
-        span = address, size = _span_at(params)
+        span = address, size = span_at(params)
         ids = params[4::size + 1]
         if 4 + len(ids) * (size + 1) != len(params):
             self._add_malformed(Instruction.SYNC_WRITE, params, stamp)
