@@ -77,9 +77,7 @@ class Answers(Enum):
     ADAPTER = 'the adapter, with what it read of each listed device, in one status'
 
 
-# Who answers what one device would answer like that, when it is sent to all.
-_SENT_TO_ALL = {Answers.PING: Answers.EVERYBODY, Answers.DATA: Answers.NONE,
-                Answers.ACK: Answers.NONE}
+_OF_ONE_DEVICE = (Answers.PING, Answers.DATA, Answers.ACK)
 
 
 class Access(NamedTuple):
@@ -135,8 +133,10 @@ def name_of(instruction: int) -> str:
 
 
 def answers_of(answers: Answers, id: int) -> Answers:
-    """Return who answers an instruction that one device, or each listed one, answers like that."""
-    return answers if id != BROADCAST else _SENT_TO_ALL.get(answers, answers)
+    """Return who answers at this ID what one device, or each listed one, answers like that."""
+    if id != BROADCAST or answers not in _OF_ONE_DEVICE:
+        return answers
+    return Answers.EVERYBODY if answers is Answers.PING else Answers.NONE
 
 
 def parse(instruction: int, id: int, params: bytes) -> Request:
@@ -144,7 +144,7 @@ def parse(instruction: int, id: int, params: bytes) -> Request:
     kind = KINDS.get(instruction)
     if kind is None:
         return Request(instruction, id, Answers.NONE)
-    is_to_one = kind.answers in _SENT_TO_ALL
+    is_to_one = kind.answers in _OF_ONE_DEVICE
     accesses, is_whole = kind.parse(id, params) if is_to_one or id == BROADCAST else MALFORMED
     answers = answers_of(kind.answers, id) if is_whole else Answers.NONE
     option = kind.options.get(params[kind.options_at], '')
@@ -191,12 +191,11 @@ def bulk_write_entries(params: bytes) -> list[tuple[int, int, bytes]]:
     entries = []
     at = 0
     while at + 5 < len(params):
-        address, length = span_at(params, at + 1)
-        end = at + 5 + length
+        end = at + 5 + (params[at + 3] | params[at + 4] << 8)
         if end > len(params):
             break
-        if length:
-            entries.append((params[at], address, params[at + 5:end]))
+        if end > at + 5:
+            entries.append((params[at], params[at + 1] | params[at + 2] << 8, params[at + 5:end]))
         at = end
     return entries
 
@@ -225,14 +224,15 @@ def _sync_read(id: int, params: bytes) -> Parsed:
     ids = params[4:]
     if not ids or len(set(ids)) != len(ids):
         return MALFORMED
-    return tuple(Access(one, *span_at(params)) for one in ids), True
+    accesses = [Access(one, *span_at(params)) for one in ids]
+    return tuple(accesses), True
 
 
 def _bulk_read(id: int, params: bytes) -> Parsed:
     if not params or len(params) % 5 or len(set(params[::5])) != len(params) // 5:
         return MALFORMED
-    return tuple(Access(params[at], *span_at(params, at + 1))
-                 for at in range(0, len(params), 5)), True
+    accesses = [Access(params[at], *span_at(params, at + 1)) for at in range(0, len(params), 5)]
+    return tuple(accesses), True
 
 
 def _sync_write(id: int, params: bytes) -> Parsed:
@@ -241,14 +241,15 @@ def _sync_write(id: int, params: bytes) -> Parsed:
     address, length = span_at(params)
     if not length or (len(params) - 4) % (length + 1):
         return MALFORMED
-    return tuple(Access(params[at], address, length, params[at + 1:at + 1 + length])
-                 for at in range(4, len(params), length + 1)), True
+    accesses = [Access(params[at], address, length, params[at + 1:at + 1 + length])
+                for at in range(4, len(params), length + 1)]
+    return tuple(accesses), True
 
 
 def _bulk_write(id: int, params: bytes) -> Parsed:
     entries = bulk_write_entries(params)
-    return (tuple(Access(one, address, len(data), data) for one, address, data in entries),
-            is_whole_bulk_write(params, entries))
+    accesses = [Access(one, address, len(data), data) for one, address, data in entries]
+    return tuple(accesses), is_whole_bulk_write(params, entries)
 
 
 class Kind(NamedTuple):

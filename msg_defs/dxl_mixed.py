@@ -185,9 +185,7 @@ class MixedFramer:
 
     # Of 2.0: the classifier counts the damage of the other family.
     repaired = property(attrgetter('_two.repaired'))
-    crc_errors = property(attrgetter('_two.crc_errors'))
-    truncated = property(attrgetter('_two.truncated'))
-    bad_length = property(attrgetter('_two.bad_length'))
+    damaged = property(attrgetter('_two.damaged'))
 
     @property
     def packets(self) -> int:
@@ -226,7 +224,7 @@ class MixedFramer:
     @property
     def wrong(self) -> int:
         """How many candidates of the 1.0 family failed; of random ones 255 in 256 do."""
-        return self._one.crc_errors + self._one.truncated
+        return self._one.damaged['crc'] + self._one.damaged['cut']
 
     def claim(self, frame: Frame) -> None:
         """Count a good frame of the 1.0 family as a packet."""

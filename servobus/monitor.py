@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 from msg_defs.diagnostics import Level
 from msg_defs.diagnostics import Metric
+from msg_defs.dxl_packet import REASONS
 from msg_defs.event import BREAK
 from msg_defs.event import Change
 from msg_defs.event import CLOSED
@@ -336,12 +337,12 @@ class Monitor:
 
     def _activity(self) -> Activity:
         total = self.decoder.total
-        errors = sum(map(total, ('crc_errors', 'truncated', 'bad_length')))
-        return Activity(total('bytes'), total('packets'), errors)
+        return Activity(total('bytes'), total('packets'),
+                        sum(map(self.decoder.damaged, REASONS)))
 
     def _counters(self) -> dict[str, int]:
         total = self.decoder.total
-        counts = self._evidence.counts
+        damaged, counts = self.decoder.damaged, self._evidence.counts
         left_out = self._fed - total('bytes')      # where a mistake of ours was
         now = {
             'Bytes': self._fed,
@@ -351,9 +352,9 @@ class Monitor:
             'Packets': total('packets'),
             'Instructions': self._tracker.planner.instructions(),
             'Repaired Packets': total('repaired'),
-            'CRC Errors': total('crc_errors'),
-            'Truncated Packets': total('truncated'),
-            'Bad Lengths': total('bad_length'),
+            'CRC Errors': damaged('crc'),
+            'Truncated Packets': damaged('cut'),
+            'Bad Lengths': damaged('length'),
             'Unasked Answers': counts[ev.UNASKED] + counts[ev.SECOND_ANSWER] + counts[ev.LATE],
             'Unknown Instructions': counts[ev.UNKNOWN_INSTRUCTION],
         }

@@ -249,7 +249,7 @@ def due(level, asked, write_acks='auto', acks=None, missing=0, missed=0):
     device.return_level, device.acks = level, acks
     device.acks_missing, device.missed_in_a_row = missing, missed
     duty = ReplyPolicy(write_acks, 4, one, one._evidence)
-    return duty.is_due(Slot(device, asked, 0, 0, ignore_data))
+    return duty.is_due(Slot(device, asked, NO_SPAN, 0, ignore_data))
 
 
 @pytest.mark.parametrize(('parts', 'expected'), ROWS['due'])
@@ -261,7 +261,7 @@ def test_whether_an_answer_had_to_come(parts, expected):
 def test_the_first_miss_and_the_one_over_the_limit_are_noted():
     one = registry()
     plan = Plan(Request(I.READ, 3, Answers.DATA, (Access(3, 132, 4, b''),)), {})
-    slot = Slot(one.device(3), Due.READ, 132, 4, ignore_data)
+    slot = Slot(one.device(3), Due.READ, (132, 4), 4, ignore_data)
     for turn in range(7):
         ReplyPolicy('auto', 4, one, one._evidence).judge_question(
             OpenQuestion(plan, [slot], set(), False), turn, turn)
@@ -279,7 +279,7 @@ class UnreadRun:
         evidence = self.registry._evidence
         self.unread = unread.UnreadAnswers(
             self.registry, evidence, ReplyPolicy('auto', 4, self.registry, evidence))
-        self.slot = Slot(self.registry.device(3), Due.READ, 132, 4, ignore_data)
+        self.slot = Slot(self.registry.device(3), Due.READ, (132, 4), 4, ignore_data)
         self.plan = Plan(Request(I.READ, 3, Answers.DATA, (Access(3, 132, 4, b''),)),
                          {3: self.slot})
         self.question = OpenQuestion(self.plan, [self.slot], set(), False, S)
@@ -346,7 +346,8 @@ def test_an_answer_is_given_up_behind_an_idle_line_of_more_than_a_second(idle_ns
 def plan_of(*numbers):
     return Plan(Request(I.SYNC_READ, 254, Answers.DATA, tuple(
         Access(number, 132, 4, b'') for number in numbers)), {
-            number: Slot(Device(number), Due.READ, 132, 4, ignore_data) for number in numbers})
+            number: Slot(Device(number), Due.READ, (132, 4), 4, ignore_data)
+            for number in numbers})
 
 
 @pytest.mark.parametrize(('silent', 'spoke', 'expected'), ROWS['turn'])

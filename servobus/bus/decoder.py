@@ -12,7 +12,6 @@ from msg_defs import dxl1_packet
 from msg_defs.dxl1_proof import Detector
 from msg_defs.dxl_mixed import MixedFramer
 from msg_defs.dxl_packet import Framer
-from msg_defs.dxl_packet import REASONS
 from msg_defs.event import AWAY
 from msg_defs.event import BAUD
 from msg_defs.event import Change
@@ -272,10 +271,12 @@ class BusDecoder:
 
     def total(self, counter: str) -> int:
         """Return a counter of the framers, over all sides."""
-        count: int = sum(getattr(framer, counter) for framer in self.framers.values())
-        if counter in REASONS:
-            count += self.classifier.damaged[REASONS[counter]]
-        return count
+        return sum(getattr(framer, counter) for framer in self.framers.values())
+
+    def damaged(self, reason: str) -> int:
+        """Return how many frames were damaged for a reason, over all sides."""
+        return self.classifier.damaged[reason] + sum(
+            framer.damaged[reason] for framer in self.framers.values())
 
     @property
     def noise_side(self) -> str:

@@ -41,6 +41,7 @@ from servobus.bus.plan import Plan
 from servobus.bus.plan import Slot
 from servobus.bus.registry import DeviceRegistry
 from servobus.bus.report import IncidentKind
+from servobus.bus.table import NO_SPAN
 from servobus.bus.table import WRITTEN
 
 PLANS_LOOKED_AT = 64               # a master repeats fewer
@@ -191,16 +192,16 @@ class Planner:
                     if access.id <= self._registry.highest]
         device = self._registry.device(request.id)
         if request.answers is Answers.ACK:
-            return [Slot(device, Due.ACK, request.address, 0, device.accept_ack)]
+            return [Slot(device, Due.ACK, (request.address, 0), 0, device.accept_ack)]
         size = 3 if device.dialect is None else 0      # the 1.0 family answers without data
-        return [Slot(device, Due.ALWAYS, -1, size, device.accept_pong)]
+        return [Slot(device, Due.ALWAYS, NO_SPAN, size, device.accept_pong)]
 
     def _read_slot(self, access: Access) -> Slot:
         device = self._registry.device(access.id)
         accept: Accept = device.table.keep
         if device.is_defined_by(access.address, access.length):
             accept = partial(self._registry.read_special, device)
-        return Slot(device, Due.READ, access.address, access.length, accept)
+        return Slot(device, Due.READ, (access.address, access.length), access.length, accept)
 
     def _begin_of(self, request: Request) -> Begin | None:
         """Return what a repetition of this instruction starts, None for one that only asks."""

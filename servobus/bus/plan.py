@@ -9,6 +9,7 @@ tracker looks a plan up by the bytes that say who and where, and an answer finds
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from enum import Enum
 from math import inf
 from struct import Struct
@@ -23,6 +24,7 @@ from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import HEADER_CRC
 from servobus.bus.device import Device
 from servobus.bus.evidence import UNKNOWN_INSTRUCTION
+from servobus.bus.table import NO_SPAN
 from servobus.bus.table import Span
 
 # What takes an answer in: address and size, data, stamp, source (as Table.keep); returns True
@@ -47,16 +49,15 @@ class Due(Enum):
     ACK = 'at Status Return Level 2'
 
 
+@dataclass(eq=False)
 class Slot:
     """One expected status: from which device, of how many data, and where these go."""
 
-    def __init__(self, device: Device, due: Due, address: int, length: int,
-                 accept: Accept) -> None:
-        self.device = device
-        self.due = due
-        self.span = address, length
-        self.size = length
-        self.accept = accept
+    device: Device
+    due: Due
+    span: Span
+    size: int
+    accept: Accept
 
     @property
     def status_size(self) -> int:
@@ -70,9 +71,7 @@ def combined_slot(first: Device) -> Slot:
 
     No status has its size, so the tracker always looks closer at it, and splits it.
     """
-    slot = Slot(first, Due.READ, 0, 0, ignore_data)
-    slot.size = _NO_SIZE
-    return slot
+    return Slot(first, Due.READ, NO_SPAN, _NO_SIZE, ignore_data)
 
 
 def ignore_data(span: Span, data: bytes, stamp: int, source: int) -> None:

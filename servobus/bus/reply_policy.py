@@ -9,6 +9,7 @@ so always, until it stops while it goes on answering reads.
 """
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from msg_defs.frame import GLITCH
@@ -36,15 +37,14 @@ class OpenQuestion(NamedTuple):
     effect: Effect | None = None   # what it does once it is accepted
 
 
+@dataclass
 class ReplyPolicy:
     """write_acks: 'auto', 'always' or 'never'; missed_limit: both as the parameters."""
 
-    def __init__(self, write_acks: str, missed_limit: int, registry: DeviceRegistry,
-                 evidence: Evidence) -> None:
-        self._write_acks = write_acks
-        self._missed_limit = missed_limit
-        self._registry = registry
-        self._evidence = evidence
+    _write_acks: str
+    _missed_limit: int
+    _registry: DeviceRegistry
+    _evidence: Evidence
 
     def is_due(self, slot: Slot) -> bool:
         """Return whether this status, which did not come, had to come."""

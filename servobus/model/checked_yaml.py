@@ -11,11 +11,13 @@ from __future__ import annotations
 
 from collections import Counter
 import errno
+import os
 from pathlib import Path
 import re
 import reprlib
 import stat
 from typing import Any
+from typing import NamedTuple
 
 import yaml
 
@@ -96,11 +98,13 @@ def read_yaml(path: Path) -> Any:
 def read_file(path: Path) -> bytes:
     """Return the bytes of a model file; ModelError where it cannot be read."""
     try:
-        if not stat.S_ISREG(path.stat().st_mode):      # a pipe would keep us waiting
+        about = os.stat(path)
+        if not stat.S_ISREG(about.st_mode):        # a pipe would keep us waiting
             raise OSError(errno.EINVAL, 'not a file')
-        if path.stat().st_size > FILE_LIMIT:
+        if about.st_size > FILE_LIMIT:
             raise OSError(errno.EFBIG, f'longer than {FILE_LIMIT} bytes')
-        return path.read_bytes()
+        with open(path, 'rb') as file:
+            return file.read()
     except OSError as error:
         raise ModelError(path, '', f'cannot be read: {error.strerror}',
                          'check the file and its permissions') from None
@@ -132,12 +136,11 @@ def _check_weight(text: bytes) -> None:
             raise _refusal(f'more than {NODES_LIMIT} values', event.start_mark)
 
 
-class Check:
+class Check(NamedTuple):
     """Raises ModelError for one place in one file; the methods return what they checked."""
 
-    def __init__(self, path: Path, field: str) -> None:
-        self.path = path
-        self.field = field
+    path: Path
+    field: str
 
     def error(self, reason: str, remedy: str) -> ModelError:
         return ModelError(self.path, self.field, reason, remedy)
