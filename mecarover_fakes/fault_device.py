@@ -13,10 +13,10 @@ from mecarover_fakes.fault import ONLY_2
 from mecarover_fakes.fault import Play
 from mecarover_fakes.traffic import Ask
 from mecarover_fakes.traffic import Asks
-from mecarover_fakes.traffic import read
 from mecarover_fakes.traffic import read_register
 from mecarover_fakes.traffic import sync_read
 from mecarover_fakes.traffic import write
+from mecarover_fakes.traffic import write_register
 from mecarover_fakes.values import Sine
 from mecarover_fakes.values import TEMPERATURE
 from mecarover_fakes.values import VOLTAGE
@@ -207,17 +207,16 @@ class Watchdog(Effect):
     is_armed = False
 
     def ask(self) -> Asks:
-        watchdog, goal = self.device.field('Bus Watchdog'), self.device.field('Goal Position')
-        if watchdog is None or goal is None:
+        goal = self.device.field('Goal Position')
+        if goal is None or self.device.field('Bus Watchdog') is None:
             return
-        number = self.device.id
         if not self.is_armed:
             self.is_armed = True
-            yield write(number, watchdog.at, bytes([WATCHDOG]))
+            yield from write_register(self.device, 'Bus Watchdog', bytes([WATCHDOG]))
             self.timing.pause = 3 * WATCHDOG * 20 * MS
-        yield write(number, goal.at, self.device.bytes_in(goal))
+        yield write(self.device.id, goal.at, self.device.bytes_in(goal))
         if self.cycle % 20 == 0:
-            yield read(number, watchdog.at, 1)
+            yield from read_register(self.device, 'Bus Watchdog')
 
 
 class Late(Effect):

@@ -200,6 +200,12 @@ class Device:
         self.acks_missing = 0
         return True
 
+    def count_damaged(self, damaged_ids: set[int], surely: int = 0) -> None:
+        """Count damage where its answer was due, surely 1: in that; damaged_ids: it is one."""
+        damaged_ids.add(self.number)
+        self.counts.garbled += 1
+        self.counts.damaged += surely
+
     def count_missed(self, now: int, stamp: int, doubtful: bool) -> None:
         """Count an answer that did not come, or perhaps came damaged; stamp: of the chunk."""
         self.counts.missed += 1

@@ -107,7 +107,7 @@ class Dxl1Classifier:
             if flaw is not None and flaw.noise_length > GLITCH:
                 is_noisy = True
             if self._unconfirmed is not None:
-                self._decide_unconfirmed(framer, flaw, found)
+                self._decide_unconfirmed(self._unconfirmed, framer, flaw, found)
             if kind < EITHER_1:
                 found.append(frame)
             elif flaw is not None and flaw.reason:
@@ -172,11 +172,9 @@ class Dxl1Classifier:
 
     # --- does this ID exist? --------------------------------------------------------------------
 
-    def _decide_unconfirmed(self, framer: AnyFramer, flaw: Flaw | None, found: Frames) -> None:
+    def _decide_unconfirmed(self, held: Candidate, framer: AnyFramer, flaw: Flaw | None,
+                            found: Frames) -> None:
         """Decide on the packet that waits, for another frame has come."""
-        held = self._unconfirmed
-        if held is None:
-            return
         is_same = framer is held.framer
         is_next = not is_same or flaw is None or not (flaw.reason or flaw.noise_length)
         frame = self._confirmed(held, is_next)

@@ -140,9 +140,7 @@ class DeviceRegistry:
                      source: int) -> None:
         """Keep what a device said of itself, where that may change what it is or does."""
         address = span[0]
-        at = device.identity_at - address
-        if 0 <= at <= len(data) - 2:
-            self._read_identity(device, address, data, stamp)
+        self._read_identity(device, address, data, stamp)
         device.table.keep(span, data, stamp, source)
         self.resolve(device)
         for name, value in device.special_values(address, data):
@@ -179,7 +177,7 @@ class DeviceRegistry:
     def _read_identity(self, device: Device, address: int, data: bytes, stamp: int) -> None:
         at = device.identity_at - address
         number = data[at:at + 2]
-        if number == device.identity[:2]:
+        if not 0 <= at <= len(data) - 2 or number == device.identity[:2]:
             return
         model = self._models.get(
             model_key(number[0] | number[1] << 8, device.protocol)) or UNKNOWN

@@ -100,8 +100,7 @@ class ReplyPolicy:
         if noise > most + GLITCH:
             self._evidence.add_frequent(now, ev.TOO_LONG, first.number, ev.Sizes(noise, most))
         elif not question.damaged_ids:
-            question.damaged_ids.add(first.number)
-            first.counts.garbled += 1
+            first.count_damaged(question.damaged_ids)
 
     def count_missed(self, plan: Plan, slot: Slot, now: int, stamp: int,
                      is_doubtful: bool) -> None:

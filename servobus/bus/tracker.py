@@ -276,7 +276,7 @@ class Tracker:
             damaged, unknown = self.pending.failed(there, blocks[-1].id if blocks else -1,
                                                  self.slots)
             for slot in damaged:
-                self._count_damaged(slot)
+                slot.device.count_damaged(self._damaged_ids, 1)
             for number in unknown:
                 del self.slots[number]
         if there < len(accesses) and self._state < pairing.SPOILT:
@@ -367,7 +367,8 @@ class Tracker:
     def _process_damaged(self, frame: Frame, flaw: Flaw, stamp: int, side: str) -> int:
         """Note a damaged frame; return what happened to the pairing."""
         damage, _ = pairing.TO_MASTER if side == IN else pairing.ON_THE_WIRE
-        is_status, number, code, data = frame[2] == IS_STATUS, *frame[3:6]
+        _, _, kind, number, code, data, _ = frame
+        is_status = kind == IS_STATUS
         if is_status and number == BROADCAST and BROADCAST in self.slots \
                 and self.pending.request.answers is Answers.COMBINED:
             del self.slots[BROADCAST]
@@ -378,15 +379,11 @@ class Tracker:
             return damage
         slot = self.pending.slots.get(number) if is_status else None
         if slot is not None:
-            self._count_damaged(slot)
+            slot.device.count_damaged(self._damaged_ids, 1)
         elif self.slots and (is_status or code not in NAMES):
-            self._count_damaged(next(iter(self.slots.values())), 0)           # it is its turn
+            waited_for = next(iter(self.slots.values()))       # it is its turn
+            waited_for.device.count_damaged(self._damaged_ids)
         return damage
-
-    def _count_damaged(self, slot: Slot, surely: int = 1) -> None:
-        self._damaged_ids.add(slot.device.number)
-        slot.device.counts.garbled += 1
-        slot.device.counts.damaged += surely
 
     def _close(self, following: RawInstruction, began: int, received: int, stamp: int) -> None:
         """End the pending instruction; following: the next one, which began there."""

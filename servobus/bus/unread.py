@@ -340,9 +340,7 @@ class UnreadAnswers:
         found = [(question, slot) for question in self.deferred for slot in question.due]
         found.sort(key=lambda one: one[1].device.number != number)
         for question, slot in found[:1]:
-            question.damaged_ids.add(slot.device.number)
-            slot.device.counts.garbled += 1
-            slot.device.counts.damaged += 1
+            slot.device.count_damaged(question.damaged_ids, 1)
             if len(question.due) == 1:
                 self._end_deferred(question, DAMAGED, stamp)
 
