@@ -74,8 +74,8 @@ def test_what_happened_in_words(row):
     [incident] = notes_of(**row)
     assert text_of(incident) == text
     evidence = Evidence()
-    evidence.add_incident(1, incident.kind, 0, incident.detail)
-    evidence.add_incident(2, incident.kind, -1, incident.detail)
+    evidence.add_incident(1, incident.kind, 0, *incident.detail)
+    evidence.add_incident(2, incident.kind, -1, *incident.detail)
     lines = [one.text for one in evidence.errors(lambda device, address: str(address))]
     assert lines == [f'000: {text}', text] * bool(text)
 
@@ -83,7 +83,7 @@ def test_what_happened_in_words(row):
 def test_the_log_keeps_the_last_50_and_the_doctor_the_last_1000_and_256_waits():
     evidence = Evidence()
     for stamp in range(1001):
-        evidence.add_incident(stamp, ev.ALERT, 1, ev.NOTHING)
+        evidence.add_incident(stamp, ev.ALERT, 1)
         evidence.waits.append(Wait(stamp, 1, 1, False))
     assert [evidence.errors(lambda *_: '')[at].stamp for at in (0, -1)] == [951, 1000]
     assert len(evidence.errors(lambda *_: '')) == 50
@@ -99,7 +99,7 @@ def test_what_may_come_with_each_packet_is_kept_once_in_a_while():
     evidence = Evidence()
     stamps = (0, ev._FREQUENT_APART_NS - 1, ev._FREQUENT_APART_NS, 2 * ev._FREQUENT_APART_NS - 1)
     for stamp in stamps:
-        evidence.add_frequent(stamp, ev.PROTOCOL_1, 1, ev.Code(2))
+        evidence.add_frequent(stamp, ev.PROTOCOL_1, 1, 2)
     assert [one.stamp for one in evidence.incidents] == [0, ev._FREQUENT_APART_NS]
     assert evidence.counts[ev.PROTOCOL_1] == 4
 
@@ -202,7 +202,7 @@ def test_an_offset_is_noted_when_it_changes():
     one.write(one.device(2), 40, b'\x7f', S)
     assert len(notes(one)) == 2
     one.write(one.device(2), 40, b'\x80', S)
-    assert notes(one)[2:] == [(ev.CALIBRATED, 2, ev.NOTHING)]
+    assert notes(one)[2:] == [(ev.CALIBRATED, 2, ev.Nothing())]
 
 
 # --- the table -------------------------------------------------------------------------------

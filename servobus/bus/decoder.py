@@ -161,7 +161,7 @@ class BusDecoder:
         """Note a whole answer of which the program read a part, then asked, then read the rest."""
         for begin, end, _, number, *_, flaw in frames:
             if begin < self._split < end and flaw is None and self.tracker.pending.slots:
-                self.evidence.add_incident(stamp, ev.SPLIT, number, ev.NOTHING)
+                self.evidence.add_incident(stamp, ev.SPLIT, number)
         if frames:
             self._split = 0
 

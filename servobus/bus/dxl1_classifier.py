@@ -153,7 +153,7 @@ class Dxl1Classifier:
     def _report_family(self, framer: AnyFramer, frame: Frame, stamp: int) -> None:
         """Note a packet of the 1.0 family on a bus that speaks 2.0 as well."""
         if isinstance(framer, MixedFramer) and framer.has_first:
-            self._evidence.add_frequent(stamp, ev.PROTOCOL_1, frame[3], ev.Code(frame[4]))
+            self._evidence.add_frequent(stamp, ev.PROTOCOL_1, frame[3], frame[4])
 
     def _count_first_byte_lost(self, framer: AnyFramer) -> None:
         """Count the answers in the noise that lack only the first byte of their header."""

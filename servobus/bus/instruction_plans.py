@@ -40,7 +40,6 @@ from servobus.bus.plan import Due
 from servobus.bus.plan import Plan
 from servobus.bus.plan import Slot
 from servobus.bus.registry import DeviceRegistry
-from servobus.bus.report import IncidentKind
 from servobus.bus.table import NO_SPAN
 from servobus.bus.table import WRITTEN
 
@@ -157,21 +156,21 @@ class Planner:
         if code != Instruction.SYNC_WRITE:     # see _find_targets()
             for access in request.accesses:
                 self._registry.device(access.id).record_use(access.address, access.length)
-        oddities: list[tuple[IncidentKind[Any], int, Any]] = []
+        oddities: list[tuple[Any, ...]] = []         # arguments of add_incident()
         if code not in names:
-            oddities.append((ev.UNKNOWN_INSTRUCTION, id, ev.Code(code)))
+            oddities.append((ev.UNKNOWN_INSTRUCTION, id, code))
         if request.malformed:
-            oddities.append((ev.MALFORMED, id, ev.PacketHeader(code, len(params))))
+            oddities.append((ev.MALFORMED, id, code, len(params)))
         if self._registry.is_impossible(request.id):
-            oddities.append((ev.BAD_ID, ev.NO_DEVICE, ev.Written(id)))
+            oddities.append((ev.BAD_ID, ev.NO_DEVICE, id))
             plan = Plan(request, {})
         else:
             plan = self._plan_of(request, code in names)
         if oddities:
             plan.oddities = tuple(one for one, *_ in oddities)
             plan.counted = 1               # noted here, and it has no reads
-            for one, number, what in oddities:
-                self._evidence.add_incident(stamp, one, number, what)
+            for one in oddities:
+                self._evidence.add_incident(stamp, *one)
         return plan
 
     def _plan_of(self, request: Request, is_known: bool) -> Plan:
@@ -262,8 +261,7 @@ class Planner:
             self._add_malformed(Instruction.BULK_WRITE, params, stamp)
 
     def _add_malformed(self, code: int, params: bytes, stamp: int) -> None:
-        self._evidence.add_incident(stamp, ev.MALFORMED, BROADCAST,
-                                    ev.PacketHeader(code, len(params)))
+        self._evidence.add_incident(stamp, ev.MALFORMED, BROADCAST, code, len(params))
 
     def _write_all(self, action: Action, address: int, params: bytes, stamp: int) -> None:
         devices = list(self._registry.devices.values())

@@ -112,14 +112,13 @@ class DeviceRegistry:
         if device.missed_in_a_row:
             silence_ms = (stamp - device.heard) // 1_000_000
             if device.heard and silence_ms >= ABSENCE_MS:
-                self._evidence.add_incident(stamp, ev.RETURNED, device.number,
-                                    ev.SilentFor(silence_ms, self._raw(device, TORQUE, -1),
-                                                 device.missed_in_a_row))
+                self._evidence.add_incident(stamp, ev.RETURNED, device.number, silence_ms,
+                                            self._raw(device, TORQUE, -1), device.missed_in_a_row)
             device.missed_in_a_row = 0
         alert = error >= ALERT
         if alert:
             if not device.alert:
-                self._evidence.add_incident(stamp, ev.ALERT, device.number, ev.NOTHING)
+                self._evidence.add_incident(stamp, ev.ALERT, device.number)
             device.counts.alerts += 1
         device.alert = alert
         device.heard = stamp
@@ -221,7 +220,7 @@ class DeviceRegistry:
 
     def calibrate(self, device: Device, stamp: int) -> None:
         """Forget what a Calibrate of Feetech changes."""
-        self._evidence.add_incident(stamp, ev.CALIBRATED, device.number, ev.NOTHING)
+        self._evidence.add_incident(stamp, ev.CALIBRATED, device.number)
         self.resolve(device)
         device.table.forget('all', device.model, [
             field.name for field in device.model.fields if field.name not in _CALIBRATED])
@@ -270,7 +269,7 @@ class DeviceRegistry:
 
     def reboot(self, device: Device, stamp: int) -> None:
         """Forget what a device loses when it restarts."""
-        self._evidence.add_incident(stamp, ev.REBOOTED, device.number, ev.NOTHING)
+        self._evidence.add_incident(stamp, ev.REBOOTED, device.number)
         self.resolve(device)
         device.table.forget('ram', device.model)
         device.registered = None
@@ -315,10 +314,10 @@ class DeviceRegistry:
             if alone or name != 'ID':
                 self._followers[name](device, value, stamp)
         if is_locked:
-            self._evidence.add_incident(stamp, ev.LOCKED, device.number, ev.Written(address))
+            self._evidence.add_incident(stamp, ev.LOCKED, device.number, address)
 
     def _follow_baud(self, device: Device, value: int, stamp: int) -> None:
-        self._evidence.add_incident(stamp, ev.BAUD_WRITTEN, device.number, ev.Written(value))
+        self._evidence.add_incident(stamp, ev.BAUD_WRITTEN, device.number, value)
         field = device.model.by_name['Baud Rate']
         baud = int(field.decode(field.bytes_of(value)).number or 0)
         self._set_moved(device, baud,
@@ -327,8 +326,8 @@ class DeviceRegistry:
     def _follow_offset(self, device: Device, value: int, stamp: int) -> None:
         before = self._raw(device, OFFSET)
         if value != before:
-            self._evidence.add_incident(stamp, ev.OFFSET_WRITTEN, device.number,
-                                ev.Offsets(value, before, self._raw(device, PLACE)))
+            self._evidence.add_incident(stamp, ev.OFFSET_WRITTEN, device.number, value, before,
+                                        self._raw(device, PLACE))
 
     def _follow_torque(self, device: Device, value: int, stamp: int) -> None:
         if value == MIDDLE:

@@ -64,16 +64,16 @@ class ReplyPolicy:
                 and device.acks_missing >= ACKS_MISSING_MAX:
             device.acks = False                # it answers reads, so it is there
             self._evidence.add_incident(device.asked_stamp, ev.ACKS_STOPPED, device.number,
-                                ev.Count(device.acks_missing))
+                                        device.acks_missing)
         return bool(device.acks)
 
     def count_refusal(self, slot: Slot, instruction: int, code: int, stamp: int) -> None:
         """Note a refusal, which is an acknowledgement too."""
         if slot.due is Due.ACK:
             slot.device.accept_ack()
-        refusal = ev.Refusal(instruction, slot.span[0], code)
+        refusal = instruction, slot.span[0], code
         slot.device.count_refusal(*refusal)
-        self._evidence.add_incident(stamp, ev.REFUSED, slot.device.number, refusal)
+        self._evidence.add_incident(stamp, ev.REFUSED, slot.device.number, *refusal)
 
     def judge_question(self, question: OpenQuestion, now: int, stamp: int, us: int = -1) -> None:
         """
@@ -98,7 +98,7 @@ class ReplyPolicy:
         most = sum(slot.size + STATUS_OVERHEAD for slot in slots)
         first = question.due[0].device
         if noise > most + GLITCH:
-            self._evidence.add_frequent(now, ev.TOO_LONG, first.number, ev.Sizes(noise, most))
+            self._evidence.add_frequent(now, ev.TOO_LONG, first.number, noise, most)
         elif not question.damaged_ids:
             first.count_damaged(question.damaged_ids)
 
@@ -110,8 +110,8 @@ class ReplyPolicy:
         device.count_missed(now, stamp, is_doubtful)
         device.counts.data_missed += slot.due is Due.READ
         if device.missed_in_a_row == 1:
-            self._evidence.add_incident(now, ev.MISSED, device.number,
-                                ev.Unanswered(plan.request.instruction, slot.span[0]))
+            self._evidence.add_incident(now, ev.MISSED, device.number, plan.request.instruction,
+                                        slot.span[0])
         elif device.missed_in_a_row == self._missed_limit + 1:
             self._evidence.add_incident(now, ev.DISCONNECTED, device.number,
-                                ev.Count(device.missed_in_a_row))
+                                        device.missed_in_a_row)

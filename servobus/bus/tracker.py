@@ -111,7 +111,7 @@ class Tracker:
         """Accept an instruction that came to the master; return whether it is its own."""
         is_own = raw == self._last or bool(self._evidence.counts[ev.ECHO])
         if not is_own:
-            self._add_incident(stamp, ev.FOREIGN, raw[1], ev.Code(raw[2]))
+            self._add_incident(stamp, ev.FOREIGN, raw[1], raw[2])
         return is_own
 
     def discount_latency(self, us: int, stamp: int) -> None:
@@ -121,13 +121,13 @@ class Tracker:
     def drop_unsent(self, stamp: int) -> None:
         """Note that the pending instruction did not get to the bus, or not all of it."""
         if self.pending is not NO_PLAN:
-            self._add_incident(stamp, ev.NOT_SENT, self._last[1], ev.Code(self._last[2]))
+            self._add_incident(stamp, ev.NOT_SENT, self._last[1], self._last[2])
         self._forget()
 
     def lose_track(self, stamp: int, lost: int) -> None:
         """Judge nothing that is pending: `lost` events were not heard, or the port was closed."""
         if lost:
-            self._add_incident(stamp, ev.SOURCE_LOST, ev.NO_DEVICE, ev.Count(lost))
+            self._add_incident(stamp, ev.SOURCE_LOST, ev.NO_DEVICE, lost)
         self.slots.pop(BROADCAST, None)
         self.unread.close(None if lost or self.pending is NO_PLAN
                           else self._open_question([*self.slots.values()]), stamp)
@@ -177,7 +177,7 @@ class Tracker:
         plan.stamps.append(stamp)
         if (start := plan.begin) is not None:  # nothing waits: _close() has ended that
             if flaw is not None and flaw.unstuffed and plan.request.accesses:
-                self._add_incident(stamp, ev.UNSTUFFED, raw[1], ev.Code(raw[2]))
+                self._add_incident(stamp, ev.UNSTUFFED, raw[1], raw[2])
             self._deferred = start(raw[3], stamp)
         self._asked = end, received, stamp
         self._unresolved = True
@@ -224,8 +224,8 @@ class Tracker:
         accesses = self.pending.request.accesses
         blocks = split_adapter_status(data, accesses)
         if blocks is None:
-            self._add_incident(stamp, ev.WRONG_SIZE, accesses[0].id, ev.Sizes(
-                len(data), sum(access.length for access in accesses)))
+            self._add_incident(stamp, ev.WRONG_SIZE, accesses[0].id, len(data),
+                               sum(access.length for access in accesses))
             return
         for block in blocks:
             if (slot := self.slots.pop(block.id, None)) is not None:
@@ -255,7 +255,7 @@ class Tracker:
                 self.slots[device.number] = slot       # a late one: its own may still come
             self._add_extra(device.number, is_again, stamp)
         else:
-            self._add_incident(stamp, ev.WRONG_SIZE, device.number, ev.Sizes(len(data), slot.size))
+            self._add_incident(stamp, ev.WRONG_SIZE, device.number, len(data), slot.size)
 
     def _carry_out(self) -> None:
         """Do what the pending instruction asked for: it was accepted, or not refused."""
@@ -280,8 +280,7 @@ class Tracker:
             for number in unknown:
                 del self.slots[number]
         if there < len(accesses) and self._state < pairing.SPOILT:
-            self._add_incident(stamp, ev.FAST_CUT, accesses[there].id,
-                               ev.Sizes(there, len(accesses)))
+            self._add_incident(stamp, ev.FAST_CUT, accesses[there].id, there, len(accesses))
         return len(blocks) == there < len(accesses)
 
     def _process_unasked(self, number: int, error: int, data: bytes, stamp: int) -> None:
@@ -291,7 +290,7 @@ class Tracker:
             self._accept_adapter_status(data, stamp)
             return
         if number > self._registry.highest:
-            self._add_incident(stamp, ev.BAD_ID, ev.NO_DEVICE, ev.Written(number))
+            self._add_incident(stamp, ev.BAD_ID, ev.NO_DEVICE, number)
             return
         if self.slots and self._deferred and self._registry.is_new_id(self._deferred, number):
             _, slot = self.slots.popitem()
@@ -308,7 +307,7 @@ class Tracker:
             self._registry.accept_pong(device, data, stamp, self.is_doubtful)
         elif self.is_doubtful:       # it may well have been asked, by what was damaged
             if number in plan.slots:
-                self._add_incident(stamp, ev.ANSWERED_AGAIN, number, ev.Code(request.instruction))
+                self._add_incident(stamp, ev.ANSWERED_AGAIN, number, request.instruction)
         elif not plan.is_understood and request.id in (number, BROADCAST):
             self._evidence.counts[ev.UNKNOWN_ANSWERED] += 1    # it may have asked for this
         elif (device.owed and device.accept_late_reply(stamp, self.unread.late_reply_ns)) \
@@ -319,15 +318,15 @@ class Tracker:
         elif number in plan.slots or is_again:
             self._add_extra(number, True, stamp)
         else:
-            self._add_incident(stamp, ev.UNASKED, number, ev.NOTHING)
+            self._add_incident(stamp, ev.UNASKED, number)
 
     def _add_extra(self, number: int, is_second: bool, stamp: int) -> None:
         """Note an answer more than is due: a second one, or a late one."""
         if is_second:
             plan = self.pending if number in self.pending.slots else self._before
-            self._add_incident(stamp, ev.SECOND_ANSWER, number, ev.Code(plan.request.instruction))
+            self._add_incident(stamp, ev.SECOND_ANSWER, number, plan.request.instruction)
         else:
-            self._add_incident(stamp, ev.LATE, number, ev.Lateness(self._since_asked(stamp)))
+            self._add_incident(stamp, ev.LATE, number, self._since_asked(stamp))
 
     def _process_flaw(self, frame: Frame, flaw: Flaw, stamp: int, side: str) -> bool:
         """Note what is wrong about a frame; return whether it is lost."""
@@ -412,7 +411,7 @@ class Tracker:
             self.unread.keep_given_up(first, question.asked, now)
         self._policy.judge_question(question, now, stamp, us := self._since_asked(now))
         if following == self._last:
-            self._add_incident(now, ev.REPEATED, first.device.number, ev.Again(following[2], us))
+            self._add_incident(now, ev.REPEATED, first.device.number, following[2], us)
 
     def _since_asked(self, now: int) -> int:        # in us, from its end
         return int(now - self._on_wire(*self._asked)) // 1000

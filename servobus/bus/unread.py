@@ -133,7 +133,7 @@ class UnreadAnswers:
         elif received > self._reported_at:
             self._stale_questions += 1
             if self._stale_questions % STALE_MIN_QUESTIONS == 0:
-                self._evidence.add_incident(stamp, ev.STALE, ev.NO_DEVICE, ev.NOTHING)
+                self._evidence.add_incident(stamp, ev.STALE, ev.NO_DEVICE)
         self.old_until = waiting and received + waiting
         self._reported_at, self.reported_ns = received, stamp
 
@@ -165,7 +165,7 @@ class UnreadAnswers:
         if is_all:
             if self._reported_at == received:
                 self._evidence.add_incident(stamp, ev.THROWN_AWAY, plan.request.id,
-                                    ev.Code(plan.request.instruction))
+                                            plan.request.instruction)
             self.discarded = 0
             for slot in awaited:
                 self._registry.accept_status(slot.device, 0, stamp)
@@ -190,14 +190,14 @@ class UnreadAnswers:
             ((at, at + 1) for at, slot in enumerate(late) if slot.status_size == waiting), (0, 0))
         for slot in late[begin:end]:
             self._registry.accept_status(slot.device, 0, stamp)
-            self._evidence.add_incident(stamp, ev.LATE, slot.device.number, ev.Lateness(0))
+            self._evidence.add_incident(stamp, ev.LATE, slot.device.number, 0)
         if end > len(given_up):
             self._late_ns = asked
         self._given_up = deque(given_up[:begin] + given_up[end:], QUESTIONS_KEPT)
         answered = None if slots or end else plan.slots.get(plan.request.id)
         if answered is not None and waiting == answered.status_size:
             self._evidence.add_incident(stamp, ev.SECOND_ANSWER, answered.device.number,
-                                ev.Code(plan.request.instruction))
+                                        plan.request.instruction)
 
     # --- a question is over ---------------------------------------------------------------------
 
@@ -264,7 +264,7 @@ class UnreadAnswers:
 
     def _note_unsent(self, question: OpenQuestion, now: int) -> None:
         request = question.plan.request
-        self._evidence.add_incident(now, ev.NOT_SENT, request.id, ev.Code(request.instruction))
+        self._evidence.add_incident(now, ev.NOT_SENT, request.id, request.instruction)
 
     def _has_waited(self, question: OpenQuestion) -> bool:
         """Return whether the program looked for the answer for some time."""
@@ -329,11 +329,11 @@ class UnreadAnswers:
         """Accept an answer that waited and that nothing asked for, as far as is known."""
         self._registry.accept_status(device, code, stamp)
         if device.accept_late_reply(stamp, self.late_reply_ns):
-            self._evidence.add_incident(stamp, ev.LATE, device.number, ev.Lateness(0))
+            self._evidence.add_incident(stamp, ev.LATE, device.number, 0)
         elif before.asks(device, len(data)) or (
                 len(self.deferred) < QUESTIONS_KEPT and device.counts.answers > OWN_ANSWERS_MIN):
             self._evidence.add_incident(stamp, ev.SECOND_ANSWER, device.number,
-                                ev.Code(before.request.instruction))
+                                        before.request.instruction)
 
     def _judge_damaged(self, number: int, stamp: int) -> None:
         """Accept a damaged answer: that to the oldest question, or to one to this device."""
@@ -381,8 +381,7 @@ class UnreadAnswers:
             if waited > HUNG_WAIT_NS and slot is not None and not self.old_until \
                     and (slot.due is not Due.ACK or self._reads_acks(question, slot)) \
                     and max(self._vain_read_ns, self._purged_ns) < question.asked:
-                self._evidence.add_incident(end, ev.HUNG, slot.device.number,
-                                            ev.Lateness(waited // 1000))
+                self._evidence.add_incident(end, ev.HUNG, slot.device.number, waited // 1000)
             else:
                 self._judge_open(question, failed, question is questions[-1])
         questions.clear()
@@ -411,7 +410,7 @@ class UnreadAnswers:
                        or self._had_time_at_end(question, due, now)):
             self._policy.judge_question(question._replace(due=due), now, now, us)
         elif is_last and (failed or not due[0].device.heard):
-            self._evidence.add_incident(now, ev.LEFT_OPEN, due[0].device.number, ev.Lateness(us))
+            self._evidence.add_incident(now, ev.LEFT_OPEN, due[0].device.number, us)
 
     def _had_time_at_end(self, question: OpenQuestion, due: list[Slot], now: int) -> bool:
         """Return whether all answers would have come, to a program that read all that did."""
