@@ -326,7 +326,7 @@ class Monitor:
         self._next_tick += TICK_NS
         self._started = self._started or now
         for device in self._registry.devices.values():
-            device.add_snapshot()
+            device.snapshots.append(device.counts.copy())
         decoder = self.decoder
         noise_bytes = decoder.total('noise_bytes')
         if self._ticks and noise_bytes != self._noise_seen:

@@ -219,7 +219,7 @@ class BusDecoder:
             if value & 2:
                 self.tracker.unread.report_unsent(self.tracker.asked, stamp)
         elif what == GAVE_UP:
-            self.tracker.unread.report_vain_read(stamp - 1000 * value)
+            self.tracker.unread.vain_read_ns = stamp - 1000 * value
         elif what == LINE_MODE:
             self.line_mode = value
         elif what == AWAY:

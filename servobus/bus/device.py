@@ -246,10 +246,6 @@ class Device:
         if key in self.errors or len(self.errors) < _ERRORS_KEPT:
             self.errors[key] += 1
 
-    def add_snapshot(self) -> None:
-        """Take the snapshot of a second."""
-        self.snapshots.append(self.counts.copy())
-
     def keep_place(self) -> None:
         """Keep where the joint is, for the next report."""
         field = self.model.by_name.get(PLACE)

@@ -95,8 +95,9 @@ class UnreadAnswers:
     The receive queue of the master, and the questions that are over.
 
     old_until: what comes before this offset of the stream to the master is old, 0: nothing is.
-    reported_ns: stamp of the last UNREAD, 0: never. deferred: the questions in that state, the
-    oldest first. discarded: how many bytes were since the last question.
+    reported_ns: stamp of the last UNREAD, 0: never. vain_read_ns: until when the program looked
+    for bytes, and there were none. deferred: the questions in that state, the oldest first.
+    discarded: how many bytes were since the last question.
     """
 
     def __init__(self, registry: DeviceRegistry, evidence: Evidence, policy: ReplyPolicy) -> None:
@@ -105,7 +106,7 @@ class UnreadAnswers:
         self._policy = policy
         self.old_until = self.reported_ns = self.discarded = 0
         self._reported_at = 0              # offset of the stream at the last UNREAD
-        self._vain_read_ns = self._purged_ns = self._closed_ns = 0     # stamps of the last ones
+        self.vain_read_ns = self._purged_ns = self._closed_ns = 0     # stamps of the last ones
         self._stale_questions = 0          # in a row
         self._unsent_ns = -1               # stamp of the question that was not sent
         self._late_ns = -1                 # stamp of the question of which the answer was late
@@ -137,10 +138,6 @@ class UnreadAnswers:
         self.old_until = waiting and received + waiting
         self._reported_at, self.reported_ns = received, stamp
 
-    def report_vain_read(self, stamp: int) -> None:
-        """Note that the program looked for bytes until now, and there were none."""
-        self._vain_read_ns = stamp
-
     def report_unsent(self, asked: int, stamp: int) -> None:
         """Note that the program discarded what it was about to send: its question, if just now."""
         if stamp < asked + NO_WAIT_NS:
@@ -161,7 +158,7 @@ class UnreadAnswers:
             awaited = [slot for state in (DEFERRED, UNCERTAIN) for question in
                        self._questions[state] for slot in question.due
                        if stamp - question.asked < LATE_REPLY_NS] + awaited
-        is_all = bool(slots) and self._vain_read_ns <= asked and waiting == _size_of(awaited)
+        is_all = bool(slots) and self.vain_read_ns <= asked and waiting == _size_of(awaited)
         if is_all:
             if self._reported_at == received:
                 self._evidence.add_incident(stamp, ev.THROWN_AWAY, plan.request.id,
@@ -184,7 +181,7 @@ class UnreadAnswers:
         waiting = self.waiting
         given_up = [one for one in self._given_up if stamp - one[1] < LATE_REPLY_NS]
         late = [slot for slot, _ in given_up]
-        late += slots.values() if len(slots) == 1 and self._vain_read_ns > asked else ()
+        late += slots.values() if len(slots) == 1 and self.vain_read_ns > asked else ()
         sizes = [0, *accumulate(slot.status_size for slot in late)]
         begin, end = (0, sizes.index(waiting)) if waiting in sizes else next(
             ((at, at + 1) for at, slot in enumerate(late) if slot.status_size == waiting), (0, 0))
@@ -229,7 +226,7 @@ class UnreadAnswers:
         """Keep a missed answer that was looked for, if it may be late: it lives, or it is soon."""
         device = slot.device
         lives = device.heard and device.missed_in_a_row <= ALIVE_MAX_MISSED
-        if self._vain_read_ns > asked != self._late_ns and (
+        if self.vain_read_ns > asked != self._late_ns and (
                 lives or now - asked < ADAPTER_DELAY_NS):
             self._given_up.append((slot, now))
 
@@ -268,7 +265,7 @@ class UnreadAnswers:
 
     def _has_waited(self, question: OpenQuestion) -> bool:
         """Return whether the program looked for the answer for some time."""
-        return self._vain_read_ns > question.asked + NO_WAIT_NS
+        return self.vain_read_ns > question.asked + NO_WAIT_NS
 
     def _has_had_time(self, question: OpenQuestion, now: int,
                       delay_ns: float = ADAPTER_DELAY_NS) -> bool:
@@ -375,12 +372,12 @@ class UnreadAnswers:
         end: when it was heard last; failed: it ended by itself with an error.
         """
         questions = self._questions[LAST]
-        end = max(end, self.reported_ns, self._vain_read_ns, self._closed_ns)
+        end = max(end, self.reported_ns, self.vain_read_ns, self._closed_ns)
         for question in questions:
             slot, waited = next(iter(question.due), None), end - question.asked
             if waited > HUNG_WAIT_NS and slot is not None and not self.old_until \
                     and (slot.due is not Due.ACK or self._reads_acks(question, slot)) \
-                    and max(self._vain_read_ns, self._purged_ns) < question.asked:
+                    and max(self.vain_read_ns, self._purged_ns) < question.asked:
                 self._evidence.add_incident(end, ev.HUNG, slot.device.number, waited // 1000)
             else:
                 self._judge_open(question, failed, question is questions[-1])
@@ -393,7 +390,7 @@ class UnreadAnswers:
             self.reported_ns > question.asked or (plan.asked > ACKS_READ_MIN and not plan.missed))
 
     def _judge_open(self, question: OpenQuestion, failed: bool, is_last: bool) -> None:
-        now = max(self.reported_ns, self._vain_read_ns)
+        now = max(self.reported_ns, self.vain_read_ns)
         slots = [*question.plan.slots.values()]
         is_passed = bool(slots) and slots[-1] not in question.due      # the others had a turn
         if is_passed:

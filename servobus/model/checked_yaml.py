@@ -42,10 +42,6 @@ class ModelError(ServobusError):
         parts = [printable(part, MESSAGE_PART_MAX_CHARS)
                  for part in (str(file), field, reason) if part]
         super().__init__(f'{": ".join(parts)}; {printable(remedy, MESSAGE_PART_MAX_CHARS)}')
-        self.file = str(file)
-        self.field = field
-        self.reason = reason
-        self.remedy = remedy
 
 
 class _Loader(getattr(yaml, 'CSafeLoader', yaml.SafeLoader)):  # type: ignore[misc]
