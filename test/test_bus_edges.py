@@ -167,7 +167,7 @@ def test_an_id_that_no_device_can_have_gets_none():
     one.store_error_bits(253, 30, 1, S)
     assert list(one.devices) == [252]
     one.store_error_bits(251, 30, 1, S)
-    assert one.devices[251].table.byte(30) == 1
+    assert one.devices[251].table.bytes(30, 1) == b'\1'
 
 
 def test_who_says_the_same_of_himself_again_stays_who_he_is():
@@ -183,11 +183,11 @@ def test_who_says_the_same_of_himself_again_stays_who_he_is():
     device.accept_pong(NO_SPAN, b'\x24\x04\x2f', S, READ)                # new firmware
     one.resolve(device)
     assert (one.plans_hold, device.firmware, notes(one)) == (False, 0x2f, [])
-    assert device.table.byte(132) == 0
+    assert device.table.bytes(132, 1) == b'\0'
     device.accept_pong(NO_SPAN, b'\x37\x01\x2f', S, READ)                # another servo
     one.resolve(device)
     assert device.model_number == 0x137
-    assert (device.counts.model_changes, device.table.byte(132)) == (1, None)
+    assert (device.counts.model_changes, device.table.bytes(132, 1)) == (1, None)
     device.accept_pong(NO_SPAN, b'', S, READ)
     device.identify(b'\x38\x01', S)           # it was read
     assert device.counts.pongs == 5
@@ -228,7 +228,7 @@ def test_nothing_is_kept_from_the_limit_on():
     table.store(8, b'\1\2\3\4', S, READ)
     table.store(10, b'\5', S, READ)
     table.store(12, b'\5', S, READ)
-    assert [table.byte(at) for at in (7, 8, 9, 10)] == [None, 1, 2, None]
+    assert [table.bytes(at, 1) for at in (7, 8, 9, 10)] == [None, b'\1', b'\2', None]
     assert [table.bytes(8, 2), table.bytes(8, 3), table.bytes(7, 2)] == [b'\1\2', None, None]
 
 

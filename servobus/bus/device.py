@@ -166,6 +166,12 @@ class Device:
         return [(field.name, _special_value(field, data[field.at - address:field.end - address]))
                 for field in self._special if address <= field.at and field.end <= end]
 
+    def seen_code(self, name: str) -> int | None:
+        """Return the raw number that was seen in a register, None while it is unknown."""
+        field = self.model.by_name.get(name)
+        data = self.table.bytes(field.at, field.size) if field is not None else None
+        return None if field is None or data is None else field.code_of(data)
+
     def accept_pong(self, span: Span, data: bytes, stamp: int, source: int) -> None:
         """Keep the answer to a Ping: model number, firmware version; none in the 1.0 family."""
         self.counts.pongs += 1

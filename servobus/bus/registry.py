@@ -207,9 +207,8 @@ class DeviceRegistry:
             return
         self._read_identity(device, at, number, device.heard)
         self.resolve(device)
-        field = device.model.by_name.get('Firmware Version')
-        if field is not None and device.firmware is None:
-            device.firmware = device.table.byte(field.at)
+        if device.firmware is None:
+            device.firmware = device.seen_code('Firmware Version')
 
     def store_error_bits(self, number: int, at: int, error: int, stamp: int) -> None:
         """Keep the error byte of a status of the 1.0 family where its table has it."""
@@ -308,8 +307,7 @@ class DeviceRegistry:
         field = device.model.by_address.get(address)
         is_kept = field is not None and field.memory == 'eeprom'
         device.counts.eeprom_writes += is_kept
-        lock = device.model.by_name.get('Lock')
-        is_locked = is_kept and lock is not None and device.table.byte(lock.at) == 1
+        is_locked = is_kept and 'Lock' in device.model.by_name and device.seen_code('Lock') == 1
         for name, value in device.special_values(address, data):
             if alone or name != 'ID':
                 self._followers[name](device, value, stamp)
@@ -367,6 +365,5 @@ class DeviceRegistry:
     def _raw(self, device: Device, name: str, unknown: int = 0) -> int:
         """Return what is known of a register."""
         self.resolve(device)
-        field = device.model.by_name.get(name)
-        data = device.table.bytes(field.at, field.size) if field is not None else None
-        return unknown if field is None or data is None else field.code_of(data)
+        code = device.seen_code(name)
+        return unknown if code is None else code

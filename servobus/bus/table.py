@@ -147,13 +147,8 @@ class Table:
         twin._image = self._settle().copy()
         return twin
 
-    def byte(self, address: int) -> int | None:
-        """Return the byte at `address`, None if never seen. Indirect data are not resolved."""
-        image = self._settle()
-        return image.data[address] if image.knows(address, address + 1) else None
-
     def bytes(self, address: int, size: int) -> Data | None:
-        """`size` bytes from `address` on, None unless all of them were seen."""
+        """`size` bytes from `address` on, None unless all were seen; indirect data as they are."""
         image = self._settle()
         end = address + size
         return bytes(image.data[address:end]) if image.knows(address, end) else None
