@@ -274,18 +274,18 @@ class MonitorNode(Stoppable):
         """Log what happens to a port, once per change."""
         if self._port_words.get(port.port) != words:
             self._port_words[port.port] = words
-            if port.problem:            # two lines: rclpy ties a severity to a place in the code
-                self._log.error(words)
-            else:
-                self._log.info(words)
+            self._log_words(words, bool(port.problem))
 
     def _log_recorders(self) -> None:
         """Log what becomes of the recordings, once per change."""
         for words, is_problem in self._recorders.news():
-            if is_problem:              # two lines, as above
-                self._log.error(words)
-            else:
-                self._log.info(words)
+            self._log_words(words, is_problem)
+
+    def _log_words(self, words: str, is_problem: bool) -> None:
+        if is_problem:                  # two lines: rclpy ties a severity to a place in the code
+            self._log.error(words)
+        else:
+            self._log.info(words)
 
     def _save_recording(self, request: Any, response: Any) -> Any:
         response.success, response.message = self._recorders.save()

@@ -25,15 +25,6 @@ class Timer:
     call: Callable[[], object]
     due: float                         # monotonic s
 
-    def turn(self, now: float) -> None:
-        """Call."""
-        try:
-            self.call()
-        finally:
-            self.due += self.period_s
-            if self.due <= now:                # those that were missed are not made up for
-                self.due = now + self.period_s
-
 
 class Timers:
     """Some timers and their thread; all calls come from that."""
@@ -78,15 +69,19 @@ class Timers:
             with self._turning:
                 try:
                     self.turn(time.monotonic())
-                except MemoryError as mistake:      # the next call may have some again
-                    self._mistake = mistake
                 except Exception as mistake:        # for the one who checks
                     self._mistake = mistake
-                    return
+                    if not isinstance(mistake, MemoryError):    # the next call may have some
+                        return
             wait_s = max(0.0, min(one.due for one in self._timers) - time.monotonic())
 
     def turn(self, now: float) -> None:
         """Make the calls that are due."""
         for timer in self._timers:
             if timer.due <= now and not self._stopping.is_set():
-                timer.turn(now)
+                try:
+                    timer.call()
+                finally:
+                    timer.due += timer.period_s
+                    if timer.due <= now:       # those that were missed are not made up for
+                        timer.due = now + timer.period_s

@@ -88,7 +88,7 @@ class FakeBus:
 
     def command(self, text: str) -> None:
         """Begin a fault ('silent:3') or end faults ('back'); ParameterError for something else."""
-        self.master.command(text, self._now())
+        self.master.faults.command(text, self._now())
 
     def totals(self) -> dict[str, Any]:
         """Return the counters of both ends."""

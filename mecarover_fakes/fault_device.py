@@ -13,10 +13,10 @@ from mecarover_fakes.fault import ONLY_2
 from mecarover_fakes.fault import Play
 from mecarover_fakes.traffic import Ask
 from mecarover_fakes.traffic import Asks
-from mecarover_fakes.traffic import read
 from mecarover_fakes.traffic import read_register
 from mecarover_fakes.traffic import sync_read
 from mecarover_fakes.traffic import write
+from mecarover_fakes.traffic import write_register
 from mecarover_fakes.values import Sine
 from mecarover_fakes.values import TEMPERATURE
 from mecarover_fakes.values import VOLTAGE
@@ -33,23 +33,23 @@ OLD_FIRMWARE = 40
 class Silent(Effect):
     """The device hears and says nothing."""
 
-    def play(self) -> Play:
-        gone = self.affected()
-        for device in gone:
-            device.silent = True
-        yield
-        for device in gone:
-            device.silent = False
-
-    def affected(self) -> list[FakeDevice]:
-        """Return who is cut off."""
+    @property
+    def devices(self) -> list[FakeDevice]:
+        """The devices that are cut off."""
         return [self.device]
+
+    def play_on(self, device: FakeDevice) -> Play:
+        device.silent = True
+        yield
+        device.silent = False
 
 
 class Cable(Silent):
     """The cable to the device is broken: it and everything downstream are gone."""
 
-    def affected(self) -> list[FakeDevice]:
+    @property
+    def devices(self) -> list[FakeDevice]:
+        """The device and what is downstream."""
         return self.line.chain[self.line.chain.index(self.device):]
 
 
@@ -74,9 +74,8 @@ class Duplicate(Effect):
 class Reboot(Effect):
     """The device starts again by itself."""
 
-    def play(self) -> Play:
-        for device in self.devices:
-            device.restart(self.now, BOOT_NS)
+    def play_on(self, device: FakeDevice) -> Play:
+        device.restart(self.now, BOOT_NS)
         yield
 
 
@@ -100,23 +99,19 @@ class Brownout(Effect):
 class Latched(Effect):
     """Overload latched: alert on every status, motor off; the end of the fault is a restart."""
 
-    def play(self) -> Play:
-        for device in self.devices:
-            device.latch(OVERLOAD, self.now)
+    def play_on(self, device: FakeDevice) -> Play:
+        device.latch(OVERLOAD, self.now)
         yield
-        for device in self.devices:
-            device.restart(self.now)
+        device.restart(self.now)
 
 
 class ReturnDelay(Effect):
     """Return Delay Time is still the factory's 500 us."""
 
-    def play(self) -> Play:
-        for device in self.devices:
-            device.set('Return Delay Time', FACTORY_DELAY)
+    def play_on(self, device: FakeDevice) -> Play:
+        device.set('Return Delay Time', FACTORY_DELAY)
         yield
-        for device in self.devices:
-            device.set('Return Delay Time', 0)
+        device.set('Return Delay Time', 0)
 
 
 class NoAck(Effect):
@@ -124,12 +119,10 @@ class NoAck(Effect):
 
     level = 1
 
-    def play(self) -> Play:
-        for device in self.devices:
-            device.answer_level(self.level)
+    def play_on(self, device: FakeDevice) -> Play:
+        device.answer_level(self.level)
         yield
-        for device in self.devices:
-            device.answer_level(2)
+        device.answer_level(2)
 
     def ask(self) -> Asks:
         count = len(self.line.chain)
@@ -154,10 +147,9 @@ class OldFirmware(Effect):
     protocols = ONLY_2
     every = 5
 
-    def play(self) -> Play:
-        for device in self.devices:
-            device.firmware = OLD_FIRMWARE
-            device.set('Firmware Version', OLD_FIRMWARE)
+    def play_on(self, device: FakeDevice) -> Play:
+        device.firmware = OLD_FIRMWARE
+        device.set('Firmware Version', OLD_FIRMWARE)
         yield
 
     def ask(self) -> Asks:
@@ -181,23 +173,19 @@ class BeyondLimits(Effect, is_fault=False):
 class Hot(BeyondLimits):
     """The motor is warmer than its own limit."""
 
-    def play(self) -> Play:
-        for device in self.devices:
-            device.temperature = device.get('Temperature Limit', 80) + 2.0
+    def play_on(self, device: FakeDevice) -> Play:
+        device.temperature = device.get('Temperature Limit', 80) + 2.0
         yield
-        for device in self.devices:
-            device.temperature = TEMPERATURE
+        device.temperature = TEMPERATURE
 
 
 class LowVoltage(BeyondLimits):
     """The supply is below the device's own limit."""
 
-    def play(self) -> Play:
-        for device in self.devices:
-            device.voltage = device.get('Min Voltage Limit', 95) / 10 - 0.5
+    def play_on(self, device: FakeDevice) -> Play:
+        device.voltage = device.get('Min Voltage Limit', 95) / 10 - 0.5
         yield
-        for device in self.devices:
-            device.voltage = VOLTAGE
+        device.voltage = VOLTAGE
 
 
 class Watchdog(Effect):
@@ -207,17 +195,16 @@ class Watchdog(Effect):
     is_armed = False
 
     def ask(self) -> Asks:
-        watchdog, goal = self.device.field('Bus Watchdog'), self.device.field('Goal Position')
-        if watchdog is None or goal is None:
+        goal = self.device.field('Goal Position')
+        if goal is None or self.device.field('Bus Watchdog') is None:
             return
-        number = self.device.id
         if not self.is_armed:
             self.is_armed = True
-            yield write(number, watchdog.at, bytes([WATCHDOG]))
+            yield from write_register(self.device, 'Bus Watchdog', bytes([WATCHDOG]))
             self.timing.pause = 3 * WATCHDOG * 20 * MS
-        yield write(number, goal.at, self.device.bytes_in(goal))
+        yield write(self.device.id, goal.at, self.device.bytes_in(goal))
         if self.cycle % 20 == 0:
-            yield read(number, watchdog.at, 1)
+            yield from read_register(self.device, 'Bus Watchdog')
 
 
 class Late(Effect):

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from mecarover_fakes.dxl1_servo import MIDDLE
+from mecarover_fakes.fake_servo import FakeDevice
 from mecarover_fakes.fault import Effect
 from mecarover_fakes.fault import FAMILY_1
 from mecarover_fakes.fault import Play
@@ -58,13 +59,11 @@ class BaudCode(Baud):
 class FactoryId(Effect):
     """The device still has the factory ID 1, which another device was given."""
 
-    def play(self) -> Play:
-        own = {device: device.id for device in self.devices}
-        for device in own:
-            device.renumber(FACTORY_ID)
+    def play_on(self, device: FakeDevice) -> Play:
+        number = device.id
+        device.renumber(FACTORY_ID)
         yield
-        for device, number in own.items():
-            device.renumber(number)
+        device.renumber(number)
 
 
 class LastId(Effect):
@@ -155,27 +154,21 @@ class HighSupply(BeyondLimits):
 
     protocols = FAMILY_1
 
-    def play(self) -> Play:
-        for device in self.devices:
-            if device.model.protocol == 'feetech':
-                device.set('Max Voltage Limit', LOW_MAXIMUM)
-            device.voltage = TOO_MUCH * device.get('Max Voltage Limit') / 10
-            device.latch(VOLTAGE_BIT, self.now)
+    def play_on(self, device: FakeDevice) -> Play:
+        if device.model.protocol == 'feetech':
+            device.set('Max Voltage Limit', LOW_MAXIMUM)
+        device.voltage = TOO_MUCH * device.get('Max Voltage Limit') / 10
+        device.latch(VOLTAGE_BIT, self.now)
         yield
-        self.recover()
-
-    def recover(self) -> None:
-        """Feed them as usual again, from a new start."""
-        for device in self.devices:
-            device.voltage = VOLTAGE
-            device.restart(self.now)
+        device.voltage = VOLTAGE
+        device.restart(self.now)
 
 
 class LowSupply(HighSupply):
     """A servo for 12 V on a supply of 7.4 V."""
 
-    def play(self) -> Play:
-        for device in self.devices:
-            device.voltage = LOW_SUPPLY
+    def play_on(self, device: FakeDevice) -> Play:
+        device.voltage = LOW_SUPPLY
         yield
-        self.recover()
+        device.voltage = VOLTAGE
+        device.restart(self.now)

@@ -101,18 +101,15 @@ class Faults:
     def update(self, now: int) -> None:
         """Begin and end what is due at `now`."""
         with self._lock:
-            self._update(now)
-
-    def _update(self, now: int) -> None:
-        for fault in [one for one in self._waiting if one.begin <= now]:
-            self._waiting.remove(fault)
-            effect = KINDS[fault.name](fault, self._scope)
-            effect.now = now
-            self._running[effect] = effect.play()
-            next(self._running[effect])
-        for effect in self.active:
-            effect.now = now
-            if effect.fault.end is not None and effect.fault.end <= now:
-                next(self._running.pop(effect), None)
-        for effect in self.active:
-            effect.step()
+            for fault in [one for one in self._waiting if one.begin <= now]:
+                self._waiting.remove(fault)
+                effect = KINDS[fault.name](fault, self._scope)
+                effect.now = now
+                self._running[effect] = effect.play()
+                next(self._running[effect])
+            for effect in self.active:
+                effect.now = now
+                if effect.fault.end is not None and effect.fault.end <= now:
+                    next(self._running.pop(effect), None)
+            for effect in self.active:
+                effect.step()

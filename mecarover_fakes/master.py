@@ -56,7 +56,7 @@ class Master:
         self._fleet = Fleet(line, lambda: self.now)
         self._timing = MasterTiming(round(S / rate) if rate else 0, gap, patience)
         self._rng = Random(seed)
-        self._faults = Faults(list(faults), FaultScope(line, self._fleet, self._timing, self._rng))
+        self.faults = Faults(list(faults), FaultScope(line, self._fleet, self._timing, self._rng))
         self._backlog: list[Exchange] = []
         self._pending: list[Burst] = []        # not yet decided, with what is around them
         self._busy_until = 0
@@ -67,7 +67,7 @@ class Master:
     def bursts(self, until: int | None = None) -> Iterator[Burst]:
         """Yield the bursts on the line until a time (None: until stop()), exchanges whole."""
         self._until = until
-        self._faults.update(0)
+        self.faults.update(0)
         if self._started:
             for device in self._fleet.servos:
                 device.set('Torque Enable', 1)
@@ -77,7 +77,7 @@ class Master:
         cycle = 0
         while not self.is_over(self.now):
             yield from self._play(self.pattern(self._fleet, cycle))
-            for effect in self._faults.active:
+            for effect in self.faults.active:
                 yield from self._play(effect.asks(cycle))
             cycle += 1
             begin = self._next_cycle(begin)
@@ -88,13 +88,9 @@ class Master:
         """End bursts() after the exchange in progress, or before it has begun."""
         self._is_stopped = True
 
-    def command(self, text: str, now: int) -> None:
-        """Begin or end faults, as Faults.command() does."""
-        self._faults.command(text, now)
-
     def respond(self, ask: Ask, now: int) -> list[Burst]:
         """Return the bursts on the line when a real master sends an instruction at `now`."""
-        self._faults.update(now)
+        self.faults.update(now)
         self.now = now
         self._exchange(ask)
         self.now = self._busy_until
@@ -114,7 +110,7 @@ class Master:
         begin += timing.period
         late = round(timing.period * timing.jitter * self._rng.random())
         self.now = max(self.now, begin + late)
-        self._faults.update(self.now)
+        self.faults.update(self.now)
         return max(begin, self.now - timing.period)    # a lost cycle is not made up for
 
     def _play(self, asks: Asks) -> Iterator[Burst]:
@@ -126,15 +122,15 @@ class Master:
             yield from self._ask(ask)
 
     def _ask(self, ask: Ask) -> Iterator[Burst]:
-        self._faults.update(self.now)
-        for effect in self._faults.active:
+        self.faults.update(self.now)
+        for effect in self.faults.active:
             ask = effect.swap(ask)
         again: int | None = self.now
         while again is not None:
             self.now = again
             yield from self._flush()
             exchange = self._exchange(ask)
-            again = next((at for effect in self._faults.active
+            again = next((at for effect in self.faults.active
                           if (at := effect.again_at(exchange)) is not None), None)
         self.now = self._free_at(exchange)
 
@@ -142,14 +138,14 @@ class Master:
         exchange = self.line.exchange(ask.id, ask.instruction, ask.params, self.now,
                                       stuffed=ask.stuffed)
         self._add(exchange)
-        for effect in self._faults.active:
+        for effect in self.faults.active:
             rival = effect.rival(exchange)
             if rival is not None:
                 self._add(rival)
         return exchange
 
     def _add(self, exchange: Exchange) -> None:
-        strays = [burst for effect in self._faults.active for burst in effect.stray(exchange)]
+        strays = [burst for effect in self.faults.active for burst in effect.stray(exchange)]
         self._backlog.append(exchange)
         self._pending += [*exchange.bursts, *strays]
         self._strays_until = max((burst.end for burst in strays), default=0)
@@ -180,7 +176,7 @@ class Master:
         bursts = [burst for burst in mixed if burst.end <= self.now]
         self._pending = [burst for burst in mixed if burst.end > self.now]
         for burst in bursts:
-            for effect in self._faults.active:
+            for effect in self.faults.active:
                 if burst.start >= effect.fault.begin:
                     effect.damage(burst)
         self.truth.count_bursts(bursts)

@@ -84,11 +84,6 @@ class Receiver:
         self._queue: deque[Vel2d] = deque()
         self._next_loop = start + LOOP
 
-    @property
-    def queued(self) -> int:
-        """How many set-points wait in the queue."""
-        return len(self._queue)
-
     def feed(self, chunk: bytes, now: int) -> None:
         """Send bytes from `now` on, or after those still on the line, without a gap inside."""
         self.totals.received += len(chunk)

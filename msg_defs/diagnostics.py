@@ -11,10 +11,9 @@ both carry the namespace of the node, because all robots share the topic /diagno
 from collections.abc import Iterable
 from collections.abc import Mapping
 from collections.abc import Sequence
+from decimal import Decimal
 from enum import IntEnum
-from math import floor
 from math import isfinite
-from math import log10
 import re
 from typing import NamedTuple
 
@@ -91,16 +90,13 @@ def worst_first(statuses: Iterable[Status]) -> list[Status]:
 
 
 def number(value: float) -> str:
-    """Spell a number: integers in full, others with 6 significant digits, '' for NaN and inf."""
+    """Spell a number: integers in full, others with at least 6 significant digits, no minus 0."""
     if isinstance(value, int):
         return f'{value:d}'
-    text = f'{value:.6g}'
-    if 'e' not in text:
-        return '0' if text == '-0' else text
-    if not 1e-9 <= abs(value) < 1e15:
+    text = f'{value + 0.0:.6g}'
+    if 'e' not in text or not 1e-9 <= abs(value) < 1e15:
         return text
-    text = f'{value:.{max(0, 5 - floor(log10(abs(value))))}f}'
-    return text.rstrip('0').rstrip('.') if '.' in text else text
+    return f'{value:.0f}' if abs(value) >= 1 else f'{Decimal(text):f}'
 
 
 def pairs(values: Mapping[str, str | float | None]) -> Pairs:

@@ -17,6 +17,7 @@ from msg_defs.dxl_instruction import Access
 from msg_defs.dxl_instruction import ADAPTER_READ
 from msg_defs.dxl_instruction import ALERT
 from msg_defs.dxl_instruction import Answers
+from msg_defs.dxl_instruction import answers_of
 from msg_defs.dxl_instruction import Block
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import parse as parse_2
@@ -196,7 +197,7 @@ def understood(kind: int, code: int, id: int, params: bytes, dialect: Dialect) -
     request = parse_2(code, id, params)
     # A reset of Dynamixel sets the ID to 1, one of Feetech keeps it.
     sets_id = dialect is DYNAMIXEL_1 and code == Instruction.FACTORY_RESET
-    return request._replace(answers=_answers(entry, id), malformed=False,
+    return request._replace(answers=answers_of(entry.answers, id), malformed=False,
                             option=RESET_ALL if sets_id else '')
 
 
@@ -212,9 +213,3 @@ def split_adapter_status(data: bytes, accesses: tuple[Access, ...]) -> tuple[Blo
     parts = [data[at:at + size] for at in range(0, len(data), size)]
     return tuple(Block(access.id, 0, part) for access, part in zip(accesses, parts, strict=True)
                  if part.strip(b'\xff'))
-
-
-def _answers(entry: DialectInstruction, id: int) -> Answers:
-    if id != BROADCAST or entry.answers is Answers.LISTED:
-        return entry.answers
-    return Answers.EVERYBODY if entry.answers is Answers.PING else Answers.NONE

@@ -55,7 +55,6 @@ class Dxl1Framer(StreamFramer):
     It repairs nothing: a sum of 8 bits is too weak to repair a header by it.
     """
 
-    __slots__ = ()
     header = HEADER
     has_other = True               # whether some frame of the last chunk is of the 1.0 family
 
@@ -125,15 +124,13 @@ class Dxl1Framer(StreamFramer):
         length = data[mark + 3]
         body = data[mark + 2:mark + 3 + length]
         if length < MIN_LENGTH:
-            self.bad_length += 1
             reason = 'length'
             body = data[mark + 2:mark + 4]
         elif mark + 4 + length > len(data) or _has_header(data[mark + 4:mark + 4 + length]):
-            self.truncated += 1
             reason = 'cut'
         else:
-            self.crc_errors += 1
             reason = 'crc'
+        self.damaged[reason] += 1
         begin = base + mark
         flaw = Flaw(reason, noise_length=self.noise_length + mark - done, length=length)
         return (begin, begin + 2 + len(body), EITHER_1, body[0], body[2] if len(body) > 2 else 0,

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from collections.abc import Mapping
 from enum import Enum
 from enum import IntEnum
-from functools import partial
+from struct import Struct
 from typing import NamedTuple
 
 from msg_defs.crc import crc16
@@ -77,13 +77,16 @@ class Answers(Enum):
     ADAPTER = 'the adapter, with what it read of each listed device, in one status'
 
 
+_OF_ONE_DEVICE = (Answers.PING, Answers.DATA, Answers.ACK)
+
+
 class Access(NamedTuple):
     """A range of one device's control table; data is None for a read."""
 
     id: int
     address: int
     length: int
-    data: bytes | None
+    data: bytes | None = None
 
 
 class Request(NamedTuple):
@@ -96,25 +99,16 @@ class Request(NamedTuple):
     option: str = ''               # for Factory Reset, Clear and Backup; '' also if unknown
     malformed: bool = False
 
+    @property
+    def address(self) -> int:
+        """The address that it is about, the first one of several; -1 for none."""
+        return self.accesses[0].address if self.accesses else -1
 
-Parse = Callable[[int, int, bytes], Request]
 
-
-class Kind(NamedTuple):
-    """
-    What is known of an instruction.
-
-    parse: instruction, ID, parameters to a Request. is_to_many: its parameters list the devices,
-    and it is sent to the broadcast ID alone. key_size: how many of its parameters tell one from
-    another where the rest is data to write; None: all. options: what it may do, by the parameters
-    at a place.
-    """
-
-    parse: Parse
-    is_to_many: bool = False
-    options: Mapping[bytes, str] = {}
-    options_at: slice = slice(None)
-    key_size: int | None = None
+# What parameters address, as far as they make sense, and whether all of them do.
+Parsed = tuple[tuple[Access, ...], bool]
+MALFORMED: Parsed = (), False
+span_at = Struct('<HH').unpack_from        # address and length
 
 
 class Block(NamedTuple):
@@ -138,16 +132,23 @@ def name_of(instruction: int) -> str:
             or _ADAPTER_NAMES.get(instruction) or f'instruction 0x{instruction:02X}')
 
 
+def answers_of(answers: Answers, id: int) -> Answers:
+    """Return who answers at this ID what one device, or each listed one, answers like that."""
+    if id != BROADCAST or answers not in _OF_ONE_DEVICE:
+        return answers
+    return Answers.EVERYBODY if answers is Answers.PING else Answers.NONE
+
+
 def parse(instruction: int, id: int, params: bytes) -> Request:
     """Return what an instruction asks for; params are unstuffed."""
     kind = KINDS.get(instruction)
     if kind is None:
         return Request(instruction, id, Answers.NONE)
-    if id != BROADCAST and kind.is_to_many:
-        return _malformed(instruction, id)
-    request = kind.parse(instruction, id, params)
-    option = kind.options.get(params[kind.options_at])
-    return request._replace(option=option) if option else request
+    is_to_one = kind.answers in _OF_ONE_DEVICE
+    accesses, is_whole = kind.parse(id, params) if is_to_one or id == BROADCAST else MALFORMED
+    answers = answers_of(kind.answers, id) if is_whole else Answers.NONE
+    option = kind.options.get(params[kind.options_at], '')
+    return Request(instruction, id, answers, accesses, option, malformed=not is_whole)
 
 
 def split_combined(body: bytes, accesses: tuple[Access, ...]) -> list[Block]:
@@ -204,90 +205,84 @@ def is_whole_bulk_write(params: bytes, entries: list[tuple[int, int, bytes]]) ->
     return bool(entries) and len(params) == sum(5 + len(data) for _, _, data in entries)
 
 
-def _u16(params: bytes, at: int) -> int:
-    return params[at] | params[at + 1] << 8
+def _command(id: int, params: bytes) -> Parsed:
+    return (), True
 
 
-def _malformed(instruction: int, id: int) -> Request:
-    return Request(instruction, id, Answers.NONE, malformed=True)
+def _read(id: int, params: bytes) -> Parsed:
+    return ((Access(id, *span_at(params)),), True) if len(params) == 4 else MALFORMED
 
 
-def _ping(instruction: int, id: int, params: bytes) -> Request:
-    answers = Answers.EVERYBODY if id == BROADCAST else Answers.PING
-    return Request(instruction, id, answers)
-
-
-def _read(instruction: int, id: int, params: bytes) -> Request:
-    if len(params) != 4:
-        return _malformed(instruction, id)
-    access = Access(id, _u16(params, 0), _u16(params, 2), None)
-    answers = Answers.NONE if id == BROADCAST else Answers.DATA
-    return Request(instruction, id, answers, (access,))
-
-
-def _acknowledged(id: int) -> Answers:
-    return Answers.NONE if id == BROADCAST else Answers.ACK
-
-
-def _write(instruction: int, id: int, params: bytes) -> Request:
+def _write(id: int, params: bytes) -> Parsed:
     if len(params) < 3:
-        return _malformed(instruction, id)
-    access = Access(id, _u16(params, 0), len(params) - 2, params[2:])
-    return Request(instruction, id, _acknowledged(id), (access,))
+        return MALFORMED
+    data = params[2:]
+    return (Access(id, int.from_bytes(params[:2], 'little'), len(data), data),), True
 
 
-def _command(instruction: int, id: int, params: bytes) -> Request:
-    return Request(instruction, id, _acknowledged(id))
+def _sync_read(id: int, params: bytes) -> Parsed:
+    ids = params[4:]
+    if not ids or len(set(ids)) != len(ids):
+        return MALFORMED
+    accesses = [Access(one, *span_at(params)) for one in ids]
+    return tuple(accesses), True
 
 
-def _sync_read(answers: Answers, instruction: int, id: int, params: bytes) -> Request:
-    if len(params) < 5 or len(set(params[4:])) != len(params) - 4:
-        return _malformed(instruction, id)
-    address, length = _u16(params, 0), _u16(params, 2)
-    accesses = tuple(Access(one, address, length, None) for one in params[4:])
-    return Request(instruction, id, answers, accesses)
-
-
-def _bulk_read(answers: Answers, instruction: int, id: int, params: bytes) -> Request:
+def _bulk_read(id: int, params: bytes) -> Parsed:
     if not params or len(params) % 5 or len(set(params[::5])) != len(params) // 5:
-        return _malformed(instruction, id)
-    accesses = tuple(Access(params[at], _u16(params, at + 1), _u16(params, at + 3), None)
-                     for at in range(0, len(params), 5))
-    return Request(instruction, id, answers, accesses)
+        return MALFORMED
+    accesses = [Access(params[at], *span_at(params, at + 1)) for at in range(0, len(params), 5)]
+    return tuple(accesses), True
 
 
-def _sync_write(instruction: int, id: int, params: bytes) -> Request:
+def _sync_write(id: int, params: bytes) -> Parsed:
     if len(params) < 5:
-        return _malformed(instruction, id)
-    address, length = _u16(params, 0), _u16(params, 2)
+        return MALFORMED
+    address, length = span_at(params)
     if not length or (len(params) - 4) % (length + 1):
-        return _malformed(instruction, id)
-    accesses = tuple(Access(params[at], address, length, params[at + 1:at + 1 + length])
-                     for at in range(4, len(params), length + 1))
-    return Request(instruction, id, Answers.NONE, accesses)
+        return MALFORMED
+    accesses = [Access(params[at], address, length, params[at + 1:at + 1 + length])
+                for at in range(4, len(params), length + 1)]
+    return tuple(accesses), True
 
 
-def _bulk_write(instruction: int, id: int, params: bytes) -> Request:
+def _bulk_write(id: int, params: bytes) -> Parsed:
     entries = bulk_write_entries(params)
-    accesses = tuple(Access(one, address, len(data), data) for one, address, data in entries)
-    return Request(instruction, id, Answers.NONE, accesses,
-                   malformed=not is_whole_bulk_write(params, entries))
+    accesses = [Access(one, address, len(data), data) for one, address, data in entries]
+    return tuple(accesses), is_whole_bulk_write(params, entries)
+
+
+class Kind(NamedTuple):
+    """
+    What is known of an instruction.
+
+    answers: who answers it; one that no single device answers is sent to the broadcast ID alone.
+    parse: from its ID and parameters. key_size: how many of its parameters tell one from another
+    where the rest is data to write; None: all. options: what it may do, by the parameters at a
+    place.
+    """
+
+    answers: Answers
+    parse: Callable[[int, bytes], Parsed] = _command
+    options: Mapping[bytes, str] = {}
+    options_at: slice = slice(None)
+    key_size: int | None = None
 
 
 KINDS: dict[int, Kind] = {
-    Instruction.PING: Kind(_ping),
-    Instruction.READ: Kind(_read),
-    Instruction.WRITE: Kind(_write, key_size=2),
-    Instruction.REG_WRITE: Kind(_write, key_size=2),
-    Instruction.ACTION: Kind(_command),
-    Instruction.FACTORY_RESET: Kind(_command, options=RESET_OPTIONS, options_at=slice(1)),
-    Instruction.REBOOT: Kind(_command),
-    Instruction.CLEAR: Kind(_command, options=CLEAR_KEYS, options_at=slice(1, 5)),
-    Instruction.CONTROL_TABLE_BACKUP: Kind(_command, options=BACKUP_OPTIONS),
-    Instruction.SYNC_READ: Kind(partial(_sync_read, Answers.LISTED), is_to_many=True),
-    Instruction.SYNC_WRITE: Kind(_sync_write, is_to_many=True, key_size=4),
-    Instruction.FAST_SYNC_READ: Kind(partial(_sync_read, Answers.COMBINED), is_to_many=True),
-    Instruction.BULK_READ: Kind(partial(_bulk_read, Answers.LISTED), is_to_many=True),
-    Instruction.BULK_WRITE: Kind(_bulk_write, is_to_many=True, key_size=0),
-    Instruction.FAST_BULK_READ: Kind(partial(_bulk_read, Answers.COMBINED), is_to_many=True),
+    Instruction.PING: Kind(Answers.PING),
+    Instruction.READ: Kind(Answers.DATA, _read),
+    Instruction.WRITE: Kind(Answers.ACK, _write, key_size=2),
+    Instruction.REG_WRITE: Kind(Answers.ACK, _write, key_size=2),
+    Instruction.ACTION: Kind(Answers.ACK),
+    Instruction.FACTORY_RESET: Kind(Answers.ACK, options=RESET_OPTIONS, options_at=slice(1)),
+    Instruction.REBOOT: Kind(Answers.ACK),
+    Instruction.CLEAR: Kind(Answers.ACK, options=CLEAR_KEYS, options_at=slice(1, 5)),
+    Instruction.CONTROL_TABLE_BACKUP: Kind(Answers.ACK, options=BACKUP_OPTIONS),
+    Instruction.SYNC_READ: Kind(Answers.LISTED, _sync_read),
+    Instruction.SYNC_WRITE: Kind(Answers.NONE, _sync_write, key_size=4),
+    Instruction.FAST_SYNC_READ: Kind(Answers.COMBINED, _sync_read),
+    Instruction.BULK_READ: Kind(Answers.LISTED, _bulk_read),
+    Instruction.BULK_WRITE: Kind(Answers.NONE, _bulk_write, key_size=0),
+    Instruction.FAST_BULK_READ: Kind(Answers.COMBINED, _bulk_read),
 }

@@ -49,8 +49,6 @@ class _BothFramer(Dxl1Framer):
     two: the framer of 2.0, which reads a frame once its place is known; None: 1.0 is all.
     """
 
-    __slots__ = ('two',)
-
     def __init__(self) -> None:
         super().__init__()
         self.two: Framer | None = None
@@ -135,8 +133,6 @@ class _GapFramer(Framer):
     found: what that found. is_open: some bytes wait in it.
     """
 
-    __slots__ = ('_one', 'found', 'is_open')
-
     def __init__(self, one: Dxl1Framer, is_shared: bool) -> None:
         super().__init__(is_shared)
         self.found: Frames = []
@@ -173,9 +169,6 @@ class MixedFramer:
     something is proven. stamp, side: of the chunk that comes next.
     """
 
-    __slots__ = ('_claimed', '_claimed_bytes', '_detector', '_first_alone', '_is_2_alone', '_one',
-                 '_two', 'bytes', 'has_other', 'held', 'side', 'stamp')
-
     def __init__(self, detector: Detector, side: str = '') -> None:
         self._one = _BothFramer()
         self._two = _GapFramer(self._one, bool(side))
@@ -192,9 +185,7 @@ class MixedFramer:
 
     # Of 2.0: the classifier counts the damage of the other family.
     repaired = property(attrgetter('_two.repaired'))
-    crc_errors = property(attrgetter('_two.crc_errors'))
-    truncated = property(attrgetter('_two.truncated'))
-    bad_length = property(attrgetter('_two.bad_length'))
+    damaged = property(attrgetter('_two.damaged'))
 
     @property
     def packets(self) -> int:
@@ -233,7 +224,7 @@ class MixedFramer:
     @property
     def wrong(self) -> int:
         """How many candidates of the 1.0 family failed; of random ones 255 in 256 do."""
-        return self._one.crc_errors + self._one.truncated
+        return self._one.damaged['crc'] + self._one.damaged['cut']
 
     def claim(self, frame: Frame) -> None:
         """Count a good frame of the 1.0 family as a packet."""

@@ -99,8 +99,8 @@ def fast_wire(error: int, data: bytes) -> bytes:
                             error) + data
 
 
-# The counter of the frames that are damaged for a reason.
-REASONS = {'crc_errors': 'crc', 'truncated': 'cut', 'bad_length': 'length'}
+# Why a frame is damaged; cut: by another header, or silence, before the declared end.
+REASONS = ('crc', 'cut', 'length')
 
 
 class StreamFramer:
@@ -110,9 +110,6 @@ class StreamFramer:
     A protocol adds its header, _scan() and is_whole(). stamp: of the chunk that comes next.
     """
 
-    __slots__ = ('_buffer', '_is_interrupted', '_wanted', 'bad_length', 'bytes', 'crc_errors',
-                 'noise', 'noise_bytes', 'noise_length', 'packets', 'repaired', 'stamp',
-                 'truncated')
     header = b''                   # how a whole frame begins
 
     def __init__(self) -> None:
@@ -120,9 +117,7 @@ class StreamFramer:
         self.bytes = 0
         self.packets = 0
         self.repaired = 0          # packets with a damaged first header byte
-        self.crc_errors = 0
-        self.truncated = 0         # another header, or silence, before the declared end
-        self.bad_length = 0
+        self.damaged = dict.fromkeys(REASONS, 0)
         self.noise_bytes = 0
         self.noise = b''           # the last of these
         self._buffer = b''         # not decided yet, at most one frame
@@ -206,7 +201,6 @@ class Framer(StreamFramer):
     no end of a packet is held back for it.
     """
 
-    __slots__ = ('is_shared',)
     header = HEADER
     has_other = False              # whether some frame of the last chunk is of the 1.0 family
 
@@ -309,15 +303,13 @@ class Framer(StreamFramer):
         body = data[mark + 3:end]
         code = body[3] if len(body) > 3 else 0
         if not 2 < length <= MAX_LENGTH or (length == 3 and code == STATUS):
-            self.bad_length += 1
             reason = 'length'
             body = body[:4]
         elif end > len(data) or HEADER in body or body.endswith((_RUN, _RUN[:2])):
-            self.truncated += 1
             reason = 'cut'
         else:
-            self.crc_errors += 1
             reason = 'crc'
+        self.damaged[reason] += 1
         begin = base + mark - 1
         flaw = Flaw(reason, noise_length=self.noise_length + mark - 1 - done, length=length)
         return (begin, begin + 4 + len(body), IS_STATUS if code == STATUS else INSTRUCTION_2,

@@ -27,8 +27,6 @@ class PointRing:
     They are numbered from the time of the first, in us: no two records share a number.
     """
 
-    __slots__ = ('_data', '_first', 'is_written')
-
     def __init__(self) -> None:
         self._data = bytearray()
         self._first = 0

@@ -5,7 +5,7 @@ Running statistics of constant memory: over a sliding window and since start.
 
 Each window is cut into slices; a slice holds moments and a histogram of log-spaced buckets, so a
 percentile is off by less than one bucket (2.5 %). Time is an argument: monotonic nanoseconds.
-One thread adds; any other thread may read or reset. A reader may see the newest sample half
+One thread adds; any other thread may read. A reader may see the newest sample half
 taken in (counted, but not yet in the mean), never anything worse.
 """
 
@@ -17,7 +17,6 @@ from math import floor
 from math import log
 from math import sinh
 from math import sqrt
-from threading import Lock
 from typing import NamedTuple
 
 SLICES = 10                 # in a window: it slides in steps of a tenth
@@ -57,8 +56,6 @@ class _Partial(NamedTuple):
 
 class _Slice:
     """The samples of one slice of time, open for more."""
-
-    __slots__ = ('buckets', 'index', 'maximum', 'minimum', 'pivot', 'squares', 'sum')
 
     def __init__(self, index: int, value: float) -> None:
         self.index = index
@@ -123,20 +120,13 @@ def _summary(part: _Partial | None) -> Summary | None:
 class Series:
     """Samples of one quantity."""
 
-    __slots__ = ('_closed', '_end', '_lock', '_slice', '_state', '_width')
-
     def __init__(self, window_s: float = 10.0) -> None:
         self._width = int(window_s * 1e9 / SLICES)
-        self._lock = Lock()         # between reset and a change of slice, not for adding
         self._slice = _Slice(0, 0.0)
         # Slices that take no more, and what they come to: so a second look costs one slice.
         self._closed: tuple[tuple[_Slice, ...], _Partial | None] = ((), None)
-        self.reset()
-
-    def reset(self) -> None:
-        with self._lock:
-            self._end = 0
-            self._state: tuple[_Partial | None, tuple[_Slice, ...]] = (None, ())
+        self._end = 0
+        self._state: tuple[_Partial | None, tuple[_Slice, ...]] = (None, ())
 
     def add(self, value: float, now_ns: int) -> None:
         if not -LIMIT < value < LIMIT:
@@ -177,26 +167,19 @@ class Series:
 
     def _open_slice(self, value: float, now_ns: int) -> None:
         index = now_ns // self._width
-        with self._lock:
-            past, slices = self._state
-            kept = tuple(piece for piece in slices if piece.index > index - SLICES)
-            gone = slices[:len(slices) - len(kept)]
-            self._slice = _Slice(index, value)
-            self._end = (index + 1) * self._width
-            self._state = (_merge((past, *(piece.part() for piece in gone))),
-                           (*kept, self._slice))
+        past, slices = self._state
+        kept = tuple(piece for piece in slices if piece.index > index - SLICES)
+        gone = slices[:len(slices) - len(kept)]
+        self._slice = _Slice(index, value)
+        self._end = (index + 1) * self._width
+        self._state = _merge((past, *(piece.part() for piece in gone))), (*kept, self._slice)
 
 
 class Rate:
     """Amounts per second over a sliding window: packets, bytes, errors."""
 
-    __slots__ = ('_end', '_slice', '_slices', '_started', '_width')
-
     def __init__(self, window_s: float = 10.0) -> None:
         self._width = int(window_s * 1e9 / SLICES)
-        self.reset()
-
-    def reset(self) -> None:
         self._end = 0
         self._started: int | None = None
         self._slice: list[float] = [0, 0]                   # index, amount

@@ -10,28 +10,28 @@ from __future__ import annotations
 
 TYPE_CHECKING = False               # not from typing: it is the first import of every command
 if TYPE_CHECKING:
-    from msg_defs.diagnostics import Level
-    from msg_defs.event import Change
-    from msg_defs.event import Chunk
-    from servobus.bus.decoder import Settings
-    from servobus.bus.expected import Expected
-    from servobus.bus.expected import parse_all
-    from servobus.bus.report import BusReport
-    from servobus.bus.report import DeviceReport
-    from servobus.bus.report import Finding
-    from servobus.errors import ClosedError
-    from servobus.errors import NothingHeardError
-    from servobus.errors import ParameterError
-    from servobus.errors import ServobusError
-    from servobus.errors import UsageError
-    from servobus.listening import listen
-    from servobus.listening import Listening
-    from servobus.model.checked_yaml import ModelError
-    from servobus.model.models import Models
-    from servobus.monitor import Monitor
-    from servobus.plain_data import report_data
-    from servobus.port.port_error import PortError
-    from servobus.sources.opening import open_source
+    from msg_defs.diagnostics import Level as Level
+    from msg_defs.event import Change as Change
+    from msg_defs.event import Chunk as Chunk
+    from servobus.bus.decoder import Settings as Settings
+    from servobus.bus.expected import Expected as Expected
+    from servobus.bus.expected import parse_all as parse_all
+    from servobus.bus.report import BusReport as BusReport
+    from servobus.bus.report import DeviceReport as DeviceReport
+    from servobus.bus.report import Finding as Finding
+    from servobus.errors import ClosedError as ClosedError
+    from servobus.errors import NothingHeardError as NothingHeardError
+    from servobus.errors import ParameterError as ParameterError
+    from servobus.errors import ServobusError as ServobusError
+    from servobus.errors import UsageError as UsageError
+    from servobus.listening import listen as listen
+    from servobus.listening import Listening as Listening
+    from servobus.model.checked_yaml import ModelError as ModelError
+    from servobus.model.models import Models as Models
+    from servobus.monitor import Monitor as Monitor
+    from servobus.plain_data import report_data as report_data
+    from servobus.port.port_error import PortError as PortError
+    from servobus.sources.opening import open_source as open_source
 
 _HOMES = {
     'BusReport': 'servobus.bus.report',
@@ -57,11 +57,7 @@ _HOMES = {
     'parse_all': 'servobus.bus.expected',
     'report_data': 'servobus.plain_data',
 }
-__all__ = [
-    'BusReport', 'Change', 'Chunk', 'ClosedError', 'DeviceReport', 'Expected', 'Finding', 'Level',
-    'Listening', 'ModelError', 'Models', 'Monitor', 'NothingHeardError', 'ParameterError',
-    'PortError', 'ServobusError', 'Settings', 'UsageError', 'listen', 'open_source', 'parse_all',
-    'report_data']
+__all__ = list(_HOMES)
 
 
 def __getattr__(name: str) -> object:

@@ -36,25 +36,19 @@ def fresh(device: Device, since: int) -> tuple[Joint, int] | None:
     model = device.model
     if device.heard <= since or POSITION not in model.by_name:
         return None
-    position, velocity, current = (
-        one if one is not None and _is_new(one, unit) else None for one, unit in zip(
-            device.table.observed_of(model, UNITS, since), UNITS.values(), strict=True))
+    seen = zip(UNITS, device.table.observed_of(model, UNITS, since), strict=True)
+    found = {name: one for name, one in seen if one is not None and _is_new(one, UNITS[name])}
     if model.torque_constant is None:
-        current = None
-    ages = [one.age_s for one in (position, velocity, current) if one is not None]
-    if not ages:
+        found.pop(CURRENT, None)
+    if not found:
         return None
-    effort = _number(current)
-    if effort is not None and model.torque_constant is not None:
-        effort *= model.torque_constant
-    joint = Joint(name_of(device), _number(position), _number(velocity), effort)
-    return joint, since - round(min(ages) * 1e9)
+    position, velocity, current = (
+        found[name].value.number if name in found else None for name in UNITS)
+    effort = None if current is None else current * (model.torque_constant or 0.0)
+    newest = min(one.age_s for one in found.values())
+    return Joint(name_of(device), position, velocity, effort), since - round(newest * 1e9)
 
 
 def _is_new(seen: Observed, unit: str) -> bool:
     # Seen with `since` as now: an age below zero is how much newer the bytes are.
     return seen.age_s < 0 and seen.source == 'r' and seen.field.unit == unit
-
-
-def _number(seen: Observed | None) -> float | None:
-    return None if seen is None else seen.value.number

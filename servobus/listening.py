@@ -16,7 +16,6 @@ from threading import RLock
 import time
 from types import TracebackType
 from typing import Any
-from typing import overload
 
 from msg_defs.diagnostics import Level
 from msg_defs.event import BAUD
@@ -51,21 +50,9 @@ from servobus.sources.source import Source
 OnFinding = Callable[[Finding], object]
 
 
-@overload
-def listen(port: str, *, baud: int | None = None, devices: Sequence[str] = (),
-           protocol: str = DEFAULTS.protocol, models: Models | None = None,
-           on_finding: OnFinding | None = None) -> SourceListening: ...
-
-
-@overload
 def listen(port: Any, *, baud: int | None = None, devices: Sequence[str] = (),
            protocol: str = DEFAULTS.protocol, models: Models | None = None,
-           on_finding: OnFinding | None = None) -> PortListening: ...
-
-
-def listen(port: Any, *, baud: int | None = None, devices: Sequence[str] = (),
-           protocol: str = DEFAULTS.protocol, models: Models | None = None,
-           on_finding: OnFinding | None = None) -> PortListening | SourceListening:
+           on_finding: OnFinding | None = None) -> Listening:
     """
     Listen to a bus for as long as the `with` block lasts.
 
@@ -145,6 +132,13 @@ class Listening:
         with self._lock:
             return [bus.report for bus in self._examination.buses(is_timed=True)]
 
+    def run(self, seconds: float | None = None) -> None:
+        """Decode a recording to its end, or what a live source says for so long (None: ever)."""
+        raise UsageError('run() is for a source; a port is heard while the program uses it')
+
+    def __enter__(self) -> Listening:
+        return self
+
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
                  trace: TracebackType | None) -> None:
         self._stack.__exit__(kind, error, trace)
@@ -189,11 +183,7 @@ class SourceListening(Listening):
         self._has_run = self._is_closed = False
         self._stack.callback(self._close)
 
-    def __enter__(self) -> SourceListening:
-        return self
-
     def run(self, seconds: float | None = None) -> None:
-        """Decode a recording to its end, or what a live source says for so long (None: ever)."""
         if self._is_closed:
             raise ClosedError(f'{self._name}: closed at the end of the with block; call run() '
                               'inside of it')
@@ -235,7 +225,7 @@ class PortListening(Listening):
         self._wire = Wire('', baud or int(port.baudrate), port=str(port.port))
         self.serials = set[Any]()              # for tap_pyserial: more ports are not its matter
 
-    def __enter__(self) -> PortListening:
+    def __enter__(self) -> Listening:
         self._stack.push(self._finish)
         self._stack.enter_context(tap_pyserial.tapped(self._port, self))
         return self

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 from msg_defs.diagnostics import Level
 from msg_defs.diagnostics import Metric
+from msg_defs.dxl_packet import REASONS
 from msg_defs.event import BREAK
 from msg_defs.event import Change
 from msg_defs.event import CLOSED
@@ -143,7 +144,7 @@ class Monitor:
                     self._listen_until(stamp)
                 else:
                     self._flush_if_idle(stamp if side == OUT else stamp - int(
-                        len(data) * self.decoder.byte_ns))
+                        len(data) * self._registry.byte_ns))
                 try:
                     self.decoder.process_chunk(data, stamp, side)
                 except Exception as mistake:
@@ -175,7 +176,7 @@ class Monitor:
         self.change(Change(CLOSED, 1), now)
         with self._lock:
             self._failed, self._users = failed, tuple(users)
-            self._tracker.unread.judge_last(now, bool(failed), self.decoder.byte_ns)
+            self._tracker.unread.judge_last(now, bool(failed))
 
     def alarms(self) -> int:
         """Return how often so far a device was lost, came back or had an alert."""
@@ -325,7 +326,7 @@ class Monitor:
         self._next_tick += TICK_NS
         self._started = self._started or now
         for device in self._registry.devices.values():
-            device.add_snapshot()
+            device.snapshots.append(device.counts.copy())
         decoder = self.decoder
         noise_bytes = decoder.total('noise_bytes')
         if self._ticks and noise_bytes != self._noise_seen:
@@ -336,12 +337,12 @@ class Monitor:
 
     def _activity(self) -> Activity:
         total = self.decoder.total
-        errors = sum(map(total, ('crc_errors', 'truncated', 'bad_length')))
-        return Activity(total('bytes'), total('packets'), errors)
+        return Activity(total('bytes'), total('packets'),
+                        sum(map(self.decoder.damaged, REASONS)))
 
     def _counters(self) -> dict[str, int]:
         total = self.decoder.total
-        counts = self._evidence.counts
+        damaged, counts = self.decoder.damaged, self._evidence.counts
         left_out = self._fed - total('bytes')      # where a mistake of ours was
         now = {
             'Bytes': self._fed,
@@ -351,9 +352,9 @@ class Monitor:
             'Packets': total('packets'),
             'Instructions': self._tracker.planner.instructions(),
             'Repaired Packets': total('repaired'),
-            'CRC Errors': total('crc_errors'),
-            'Truncated Packets': total('truncated'),
-            'Bad Lengths': total('bad_length'),
+            'CRC Errors': damaged('crc'),
+            'Truncated Packets': damaged('cut'),
+            'Bad Lengths': damaged('length'),
             'Unasked Answers': counts[ev.UNASKED] + counts[ev.SECOND_ANSWER] + counts[ev.LATE],
             'Unknown Instructions': counts[ev.UNKNOWN_INSTRUCTION],
         }
@@ -394,8 +395,8 @@ class Monitor:
     def _metrics(self, now: int, rates: dict[str, float]) -> tuple[Metric, ...]:
         values = [('byte_rate', 'B/s', rates['bytes']), ('packet_rate', 'Hz', rates['packets']),
                   ('error_rate', 'Hz', rates['errors'])]
-        if self.decoder.byte_ns:          # the rate is known
-            values.append(('bus_load', '%', rates['bytes'] * self.decoder.byte_ns / 1e7))
+        if self._registry.byte_ns:          # the rate is known
+            values.append(('bus_load', '%', rates['bytes'] * self._registry.byte_ns / 1e7))
         return (*(Metric(name, unit, one.summary(now), one.total(), bus=self.name)
                   for (name, unit), one in zip(_SERIES, self._series, strict=True)),
                 *self.decoder.clock.metrics(now, self.name),
@@ -406,7 +407,7 @@ def _cycles(plans: list[Plan]) -> tuple[Cycle, ...]:
     often = sorted(plans, key=attrgetter('asked'), reverse=True)[:CYCLES_REPORTED_MAX]
     return tuple(
         Cycle(plan.request.instruction, tuple(access.id for access in plan.request.accesses)
-              or (plan.request.id,), plan.address if plan.address >= 0 else None,
+              or (plan.request.id,), plan.request.address if plan.request.accesses else None,
               plan.request.accesses[0].length if plan.request.accesses else 0,
               plan.asked, plan.missed, tuple(plan.stamps))
         for plan in often)

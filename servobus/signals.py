@@ -16,13 +16,9 @@ from msg_defs.signal import Points
 from servobus.bus.device import Device
 from servobus.bus.registry import DeviceRegistry
 from servobus.bus.table import Span
-from servobus.bus.table import SPAN_LIMIT
 from servobus.bus.table import WRITTEN
 from servobus.model.control_table import Field
 from servobus.model.control_table import Model
-
-# A chosen register in a span: where its bytes are, what these mean.
-_Part = tuple[PointRing, int, int, Field]
 
 
 class BusSignals:
@@ -85,7 +81,6 @@ class _DeviceSignals:
         self._model: Model | None = None            # for which the following holds
         self._places: list[tuple[PointRing, int, Field]] = []
         self._deciding: list[tuple[int, int]] = []
-        self._spans: dict[Span, tuple[list[_Part], bool]] = {}
 
     def record_span(self, span: Span, data: bytes, stamp: int, source: int) -> None:
         """Record bytes of the table; called by it, for each span that was read or written."""
@@ -94,17 +89,16 @@ class _DeviceSignals:
         self._resolve(self.device)
         if self._model is not self.device.model:
             self._locate(self.device.model)
-        found = self._spans.get(span)
-        if found is None:
-            found = self._look_into(span)
-        parts, is_deciding = found
-        for ring, begin, end, field in parts:
-            value = field.decode(data[begin:end])
-            number = math.nan if field.unit else value.raw      # words have no number in a unit
-            ring.add(stamp / 1e9, number if value.number is None else value.number)
-            ring.is_written = source == WRITTEN
-        if is_deciding:
-            self._model = None
+        address, end = span[0], sum(span)
+        for ring, at, field in self._places:
+            if address <= at and at + field.size <= end:
+                value = field.decode(data[at - address:at - address + field.size])
+                number = math.nan if field.unit else value.raw  # words have no number in a unit
+                ring.add(stamp / 1e9, number if value.number is None else value.number)
+                ring.is_written = source == WRITTEN
+        for first, last in self._deciding:
+            if address < last and first < end:
+                self._model = None
 
     def _locate(self, model: Model) -> None:
         """Find where the registers are: at their own address, and where indirect data are they."""
@@ -112,20 +106,9 @@ class _DeviceSignals:
         in_force = {field.key: field for field in (
             table.in_force(one, model) for one in model.fields)}
         self._model = model
-        self._spans.clear()
         self._places = [(ring, at, field) for key, ring in self._rings.items()
                         for field in [in_force.get(key)] if field is not None
                         for at in (field.at, *table.indirect_places(field, model))]
         self._deciding = [(one.address, one.address + 2 * one.size) for one in model.indirect]
         self._deciding += [(other.at, other.end) for field in model.fields if field.cases
                            for other in [model.by_name[field.cases.by]]]
-
-    def _look_into(self, span: Span) -> tuple[list[_Part], bool]:
-        address, end = span[0], sum(span)
-        if len(self._spans) > SPAN_LIMIT:
-            self._spans.clear()
-        self._spans[span] = found = (
-            [(ring, at - address, at - address + field.size, field)
-             for ring, at, field in self._places if address <= at and at + field.size <= end],
-            any(address < last and first < end for first, last in self._deciding))
-        return found

@@ -74,8 +74,8 @@ def test_what_happened_in_words(row):
     [incident] = notes_of(**row)
     assert text_of(incident) == text
     evidence = Evidence()
-    evidence.add_incident(1, incident.kind, 0, incident.detail)
-    evidence.add_incident(2, incident.kind, -1, incident.detail)
+    evidence.add_incident(1, incident.kind, 0, *incident.detail)
+    evidence.add_incident(2, incident.kind, -1, *incident.detail)
     lines = [one.text for one in evidence.errors(lambda device, address: str(address))]
     assert lines == [f'000: {text}', text] * bool(text)
 
@@ -83,7 +83,7 @@ def test_what_happened_in_words(row):
 def test_the_log_keeps_the_last_50_and_the_doctor_the_last_1000_and_256_waits():
     evidence = Evidence()
     for stamp in range(1001):
-        evidence.add_incident(stamp, ev.ALERT, 1, ev.NOTHING)
+        evidence.add_incident(stamp, ev.ALERT, 1)
         evidence.waits.append(Wait(stamp, 1, 1, False))
     assert [evidence.errors(lambda *_: '')[at].stamp for at in (0, -1)] == [951, 1000]
     assert len(evidence.errors(lambda *_: '')) == 50
@@ -99,7 +99,7 @@ def test_what_may_come_with_each_packet_is_kept_once_in_a_while():
     evidence = Evidence()
     stamps = (0, ev._FREQUENT_APART_NS - 1, ev._FREQUENT_APART_NS, 2 * ev._FREQUENT_APART_NS - 1)
     for stamp in stamps:
-        evidence.add_frequent(stamp, ev.PROTOCOL_1, 1, ev.Code(2))
+        evidence.add_frequent(stamp, ev.PROTOCOL_1, 1, 2)
     assert [one.stamp for one in evidence.incidents] == [0, ev._FREQUENT_APART_NS]
     assert evidence.counts[ev.PROTOCOL_1] == 4
 
@@ -167,7 +167,7 @@ def test_an_id_that_no_device_can_have_gets_none():
     one.store_error_bits(253, 30, 1, S)
     assert list(one.devices) == [252]
     one.store_error_bits(251, 30, 1, S)
-    assert one.devices[251].table.byte(30) == 1
+    assert one.devices[251].table.bytes(30, 1) == b'\1'
 
 
 def test_who_says_the_same_of_himself_again_stays_who_he_is():
@@ -183,11 +183,11 @@ def test_who_says_the_same_of_himself_again_stays_who_he_is():
     device.accept_pong(NO_SPAN, b'\x24\x04\x2f', S, READ)                # new firmware
     one.resolve(device)
     assert (one.plans_hold, device.firmware, notes(one)) == (False, 0x2f, [])
-    assert device.table.byte(132) == 0
+    assert device.table.bytes(132, 1) == b'\0'
     device.accept_pong(NO_SPAN, b'\x37\x01\x2f', S, READ)                # another servo
     one.resolve(device)
     assert device.model_number == 0x137
-    assert (device.counts.model_changes, device.table.byte(132)) == (1, None)
+    assert (device.counts.model_changes, device.table.bytes(132, 1)) == (1, None)
     device.accept_pong(NO_SPAN, b'', S, READ)
     device.identify(b'\x38\x01', S)           # it was read
     assert device.counts.pongs == 5
@@ -202,7 +202,7 @@ def test_an_offset_is_noted_when_it_changes():
     one.write(one.device(2), 40, b'\x7f', S)
     assert len(notes(one)) == 2
     one.write(one.device(2), 40, b'\x80', S)
-    assert notes(one)[2:] == [(ev.CALIBRATED, 2, ev.NOTHING)]
+    assert notes(one)[2:] == [(ev.CALIBRATED, 2, ev.Nothing())]
 
 
 # --- the table -------------------------------------------------------------------------------
@@ -228,7 +228,7 @@ def test_nothing_is_kept_from_the_limit_on():
     table.store(8, b'\1\2\3\4', S, READ)
     table.store(10, b'\5', S, READ)
     table.store(12, b'\5', S, READ)
-    assert [table.byte(at) for at in (7, 8, 9, 10)] == [None, 1, 2, None]
+    assert [table.bytes(at, 1) for at in (7, 8, 9, 10)] == [None, b'\1', b'\2', None]
     assert [table.bytes(8, 2), table.bytes(8, 3), table.bytes(7, 2)] == [b'\1\2', None, None]
 
 
@@ -249,7 +249,7 @@ def due(level, asked, write_acks='auto', acks=None, missing=0, missed=0):
     device.return_level, device.acks = level, acks
     device.acks_missing, device.missed_in_a_row = missing, missed
     duty = ReplyPolicy(write_acks, 4, one, one._evidence)
-    return duty.is_due(Slot(device, asked, 0, 0, ignore_data))
+    return duty.is_due(Slot(device, asked, NO_SPAN, 0, ignore_data))
 
 
 @pytest.mark.parametrize(('parts', 'expected'), ROWS['due'])
@@ -261,7 +261,7 @@ def test_whether_an_answer_had_to_come(parts, expected):
 def test_the_first_miss_and_the_one_over_the_limit_are_noted():
     one = registry()
     plan = Plan(Request(I.READ, 3, Answers.DATA, (Access(3, 132, 4, b''),)), {})
-    slot = Slot(one.device(3), Due.READ, 132, 4, ignore_data)
+    slot = Slot(one.device(3), Due.READ, (132, 4), 4, ignore_data)
     for turn in range(7):
         ReplyPolicy('auto', 4, one, one._evidence).judge_question(
             OpenQuestion(plan, [slot], set(), False), turn, turn)
@@ -279,7 +279,7 @@ class UnreadRun:
         evidence = self.registry._evidence
         self.unread = unread.UnreadAnswers(
             self.registry, evidence, ReplyPolicy('auto', 4, self.registry, evidence))
-        self.slot = Slot(self.registry.device(3), Due.READ, 132, 4, ignore_data)
+        self.slot = Slot(self.registry.device(3), Due.READ, (132, 4), 4, ignore_data)
         self.plan = Plan(Request(I.READ, 3, Answers.DATA, (Access(3, 132, 4, b''),)),
                          {3: self.slot})
         self.question = OpenQuestion(self.plan, [self.slot], set(), False, S)
@@ -299,7 +299,7 @@ class UnreadRun:
             self.unread.report_waiting(waiting, 0, S)
         if unsent:
             self.unread.report_unsent(S, S)
-        return unread.MISSED if self.unread.end_question(self.question, 2 * S, 1000) else ''
+        return unread.MISSED if self.unread.end_question(self.question, 2 * S) else ''
 
     def purge(self, waiting=0):
         self.unread.report_waiting(waiting, 0, S)
@@ -317,7 +317,7 @@ class UnreadRun:
             unread.NOT_READ_PURGED: lambda: self.next_question(waiting=3, purged=True),
             unread.ANSWERED: self.hear_answer,
             unread.DAMAGED: lambda: self.hear_answer(Flaw('crc')),
-            unread.EXPIRED: lambda: self.unread.judge_expired(2 * S, 1000),
+            unread.EXPIRED: lambda: self.unread.judge_expired(2 * S),
             unread.PURGED: lambda: self.purge(7),
             unread.PURGED_NOTHING: self.purge,
             unread.CLOSED: lambda: self.unread.close(self.question, 2 * S),
@@ -346,7 +346,8 @@ def test_an_answer_is_given_up_behind_an_idle_line_of_more_than_a_second(idle_ns
 def plan_of(*numbers):
     return Plan(Request(I.SYNC_READ, 254, Answers.DATA, tuple(
         Access(number, 132, 4, b'') for number in numbers)), {
-            number: Slot(Device(number), Due.READ, 132, 4, ignore_data) for number in numbers})
+            number: Slot(Device(number), Due.READ, (132, 4), 4, ignore_data)
+            for number in numbers})
 
 
 @pytest.mark.parametrize(('silent', 'spoke', 'expected'), ROWS['turn'])
@@ -354,7 +355,7 @@ def test_who_had_its_turn(silent, spoke, expected):
     plan = plan_of(1, 2, 3)
     assert plan.served([plan.slots[number] for number in silent], {*spoke}) \
         == tuple(expected)
-    assert (plan.size, plan.address) == (14, 132)
+    assert (plan.size, plan.request.address) == (14, 132)
 
 
 def test_plans_are_counted_and_forgotten_without_losing_counts():
@@ -394,7 +395,7 @@ def test_64_lists_of_sync_writes_are_kept():
 @pytest.mark.parametrize('noise', [b'', b'\0\0'])
 def test_what_a_master_did_not_stuff_is_noted(data, detail, noise):
     one = registry()
-    tracker = Tracker(one, one._evidence, 5_000, 4, 'auto')
+    tracker = Tracker(one, one._evidence, 4, 'auto')
     framer = Framer()
     wire = noise + encode(3, 3, b'\x74\0' + data, stuffed=False) + encode(3, STATUS, error=0)
     tracker.process_frames(framer.frames(wire), S, framer.bytes)

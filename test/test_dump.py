@@ -52,8 +52,8 @@ MODELS = Models()
 BAUD = 2_000_000
 SECOND = 1_000_000_000
 DEVICES = ('1-3:MX-106', '4:XL430-W250')
-COUNTERS = ('bytes', 'packets', 'repaired', 'crc_errors', 'truncated', 'bad_length',
-            'noise_bytes')
+COUNTERS = ('bytes', 'packets', 'repaired', 'noise_bytes')
+DAMAGED = ('crc_errors', 'truncated', 'bad_length')
 CHUNKS = (1, 37, 4096)
 
 
@@ -144,6 +144,7 @@ def test_json_lists_the_same_packets_whatever_the_chunks(raw, seed):
     assert first_ids(found) == expected
     assert {name: counts[name] for name in COUNTERS} \
         == {name: getattr(framer, name) for name in COUNTERS}
+    assert [counts[name] for name in DAMAGED] == [*framer.damaged.values()]
     assert [one['stamp'] for one in found] == sorted(one['stamp'] for one in found)
 
 

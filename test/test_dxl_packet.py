@@ -108,7 +108,7 @@ def test_what_is_wrong_is_said_exactly(wire, reason, counts):
     assert data == wire[4:4 + len(data)]
     assert reason != 'length' or len(data) == 4      # who, how long and what: no more is known
     assert (begin, end) == (len(PING), len(PING) + 4 + len(data))
-    assert (framer.crc_errors, framer.truncated, framer.bad_length) == counts
+    assert tuple(framer.damaged.values()) == counts
 
 
 # --- pauses --------------------------------------------------------------------------------------
@@ -122,7 +122,7 @@ def test_a_frame_around_a_pause_is_whole(cut):
     assert packets_in(framer, FAST[:cut], 0) == []
     framer.interrupt()
     assert len(packets_in(framer, FAST[cut:], 0)) == 1
-    assert (framer.noise_bytes, framer.truncated) == (0, 0)
+    assert (framer.noise_bytes, framer.damaged['cut']) == (0, 0)
 
 
 def test_a_header_behind_a_pause_ends_the_frame_before_it():
@@ -130,7 +130,7 @@ def test_a_header_behind_a_pause_ends_the_frame_before_it():
     packets_in(framer, FAST[:20], 0)
     framer.interrupt()
     assert [packet.instruction for packet in packets_in(framer, encode(1, 1), 0)] == [1]
-    assert (framer.noise_bytes, framer.truncated, framer.pending) == (20, 1, 0)
+    assert (framer.noise_bytes, framer.damaged['cut'], framer.pending) == (20, 1, 0)
 
 
 @given(st.lists(st.one_of(st.none(), st.binary(max_size=12), st.sampled_from(

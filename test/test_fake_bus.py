@@ -359,15 +359,15 @@ def test_faults_begin_and_end_on_command():
                 if len(master.respond(Ask(number, Instruction.PING, b''), now * S)) == 2}
 
     assert answers(10) == {1, 2, 3}
-    master.command('silent:2', 11 * S)
-    master.command('silent:3::4', 11 * S)
-    master.command('silent:1:2', 11 * S)
+    master.faults.command('silent:2', 11 * S)
+    master.faults.command('silent:3::4', 11 * S)
+    master.faults.command('silent:1:2', 11 * S)
     assert answers(12) == {1}
     assert answers(14) == set()
     assert answers(16) == {3}
-    master.command('back silent:1', 17 * S)
+    master.faults.command('back silent:1', 17 * S)
     assert answers(18) == {1, 3}
-    master.command('back', 19 * S)
+    master.faults.command('back', 19 * S)
     assert answers(20) == {1, 2, 3}
 
 
@@ -377,7 +377,7 @@ def test_faults_begin_and_end_on_command():
     ('', 'there is no fault'), ('back again', "there is no fault 'again'")])
 def test_commands_that_are_none(command, words):
     with pytest.raises(ParameterError, match=words):
-        make_master('none', devices=['1-3:MX-106']).command(command, 0)
+        make_master('none', devices=['1-3:MX-106']).faults.command(command, 0)
 
 
 def test_commands_come_through_a_socket(tmp_path):

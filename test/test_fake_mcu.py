@@ -39,7 +39,7 @@ def test_bytes_arrive_at_the_pace_of_the_line_and_ten_set_points_wait():
     assert [arrival.stamp for arrival in mcu.arrivals] == [
         FRAME_SIZE * mcu.character * count for count in range(1, 21)]
     assert [(one.stamp, one.x) for one in taken] == [(30 * MS, 500.0)]
-    assert (mcu.queued, mcu.totals.queue_full) == (9, 2)
+    assert (len(mcu._queue), mcu.totals.queue_full) == (9, 2)
     mcu.overrun()
     mcu.feed(FRAME, 100 * MS)
     assert (mcu.totals.frames, mcu.totals.unheard) == (20, FRAME_SIZE)

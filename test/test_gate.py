@@ -226,7 +226,7 @@ def test_up_to_33_hz_no_publisher_fills_the_queue_of_the_mcu(rate, resend):
         for stamp, frame in play(gate, now, end, offers):
             mcu.feed(encode(frame.velocity), stamp)
             mcu.advance(mcu.line_free)
-            highest = max(highest, mcu.queued)
+            highest = max(highest, len(mcu._queue))
         now = end + 1
     print(f'highest level of the queue at {rate:g} Hz, resend {resend:g} Hz: {highest}')
     assert mcu.totals.queue_full == 0

@@ -87,7 +87,7 @@ def test_an_instruction(copy):
     code = copy('an instruction')
     code.change('msg_defs/dxl_instruction.py',
                 ('    STATUS = 0x55\n', '    HOME = 0x21\n'),
-                ('    Instruction.SYNC_READ: Kind', '    Instruction.HOME: Kind(_command),\n'))
+                ('    Instruction.SYNC_READ: Kind', '    Instruction.HOME: Kind(Answers.ACK),\n'))
     code.change('servobus/bus/registry.py', ('    def reboot(', """\
     def home(self, device: Device, stamp: int) -> None:
         self.resolve(device)

@@ -68,7 +68,7 @@ def test_rate_is_learned_and_begins_a_new_wire():
     assert report.baud == RATE
     assert (report.counters['Noise Bytes'], report.counters['Packets']) == (7, 4)
     assert report.devices[0].totals.missed == 0
-    assert bus.decoder.byte_ns == 10_000
+    assert bus.decoder.registry.byte_ns == 10_000
 
 
 def test_line_errors_and_latency_timer_come_from_the_source():

@@ -91,7 +91,7 @@ def test_of_direct_and_indirect_the_newer_one_counts():
     assert seen(table, model)['Present Temperature'].value.text == '43'
     table.store(224, b'\x2c', 4, READ)
     assert seen(table, model)['Present Temperature'].value.text == '44'
-    assert table.byte(146) == 43        # unresolved
+    assert table.bytes(146, 1) == b'\x2b'        # unresolved
 
 
 def test_indirect_goes_one_level():

@@ -35,7 +35,7 @@ class Bus:
     def __init__(self, *expected, write_acks='auto', models=MODELS):
         self.evidence = Evidence()
         self.registry = DeviceRegistry(models, expected, 2_000_000, self.evidence)
-        self.tracker = Tracker(self.registry, self.evidence, BYTE_NS, 4, write_acks)
+        self.tracker = Tracker(self.registry, self.evidence, 4, write_acks)
         self.framer = Framer()
         self.now = 1_000_000_000
 

@@ -16,8 +16,7 @@ class Timing:
     """Series of the metrics; one thread at a time adds to each of them."""
 
     def __init__(self) -> None:
-        self.series = {name: Series() for name in (
-            'callback_to_write', 'write', 'command_period', 'stamp_age')}
+        self.reset()
         self._frames = Rate()
         self._last_command: int | None = None
 
@@ -41,8 +40,8 @@ class Timing:
 
     def reset(self) -> None:
         """Set the figures since start to zero."""
-        for series in self.series.values():
-            series.reset()
+        self.series = {name: Series() for name in (
+            'callback_to_write', 'write', 'command_period', 'stamp_age')}
 
     def metrics(self, now: int) -> list[Metric]:
         """Return every metric, those without data too: topics do not come and go."""

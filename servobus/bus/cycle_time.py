@@ -205,16 +205,17 @@ class CycleClock:
 
     def add_received(self, stamp: int, wire_ns: float) -> None:
         """Take bytes that came to the master."""
-        if self._last:
-            on_wire = min(wire_ns, max(0, stamp - self._last))
+        last = self._last
+        if last:
+            on_wire = min(wire_ns, max(0, stamp - last))
             self._wire += on_wire
-            gap = max(0.0, stamp - self._last - on_wire)
+            gap = max(0.0, stamp - last - on_wire)
             self._late, self._away = min(gap, self._away), 0
             self._program += self._late
             self._asleep += self._late
             self._gap = gap - self._late
             self._device += self._gap
-            self._last = max(stamp, self._last)
+            self._last = max(stamp, last)
 
     def choose_leader(self, plans: Iterable[Plan], now: int) -> None:
         """Look for the instruction that begins each cycle."""

@@ -12,7 +12,6 @@ from msg_defs import dxl1_packet
 from msg_defs.dxl1_proof import Detector
 from msg_defs.dxl_mixed import MixedFramer
 from msg_defs.dxl_packet import Framer
-from msg_defs.dxl_packet import REASONS
 from msg_defs.event import AWAY
 from msg_defs.event import BAUD
 from msg_defs.event import Change
@@ -29,7 +28,6 @@ from msg_defs.event import PURGED
 from msg_defs.event import UNKNOWN
 from msg_defs.event import UNREAD
 from msg_defs.frame import Frames
-from msg_defs.uart import byte_ns
 from msg_defs.uart import idle_s
 from servobus.bus import evidence as ev
 from servobus.bus.cycle_time import CycleClock
@@ -77,7 +75,6 @@ class BusDecoder:
 
     def __init__(self, models: Models, settings: Settings = DEFAULTS) -> None:
         self.settings = settings
-        self.byte_ns = byte_ns(settings.baud)
         self._last_in = 0                     # stamp of the last bytes to the master, if known
         self._noise_in = 0                    # bytes of noise to it that were looked at
         self._split = 0                       # offset in an answer at which it asked, 0: none
@@ -90,12 +87,11 @@ class BusDecoder:
         self.choice.vote_by_devices(device.dialect for device in self.registry.devices.values())
         self.registry.dialect = self.choice.dialect
         self.detector = Detector() if settings.protocol == 'auto' else None
-        self.classifier = None if settings.protocol == '2' else Dxl1Classifier(
-            self.registry, self.evidence, self.choice, self.detector, self.byte_ns,
-            self.process_frames)
+        self.classifier = Dxl1Classifier(self.registry, self.evidence, self.choice, self.detector,
+                                         self.process_frames)
         self.framers: dict[str, AnyFramer] = {}        # by the side that they hear
         self._new_framer(UNKNOWN)
-        self.tracker = Tracker(self.registry, self.evidence, self.byte_ns, settings.missed_limit,
+        self.tracker = Tracker(self.registry, self.evidence, settings.missed_limit,
                                settings.write_acks)
         self.set_latency_timer(settings.latency_timer_ms)
 
@@ -103,14 +99,13 @@ class BusDecoder:
         """Say how long the adapter may keep bytes back: so long a pause is not silence."""
         self.settings = self.settings._replace(latency_timer_ms=latency_timer_ms)
         self.idle_ns = int(1e9 * idle_s(self.settings.baud, latency_timer_ms))
-        if self.classifier is not None:
-            self.classifier.slow_ns = REPLY_LATE_NS + int(1e6 * latency_timer_ms)
+        self.classifier.slow_ns = REPLY_LATE_NS + int(1e6 * latency_timer_ms)
 
     def _new_framer(self, side: str) -> AnyFramer:
         framer: AnyFramer = dxl1_packet.Dxl1Framer()
         if self.detector is not None:
             framer = MixedFramer(self.detector, side)
-        elif self.classifier is None:
+        elif self.settings.protocol == '2':
             framer = Framer()
         self.framers[side] = framer
         return framer
@@ -123,7 +118,7 @@ class BusDecoder:
         """
         framer = self.framers.get(side) or self._new_framer(side)
         if side:
-            wire_ns = len(chunk) * self.byte_ns
+            wire_ns = len(chunk) * self.registry.byte_ns
             if side == OUT:
                 self._end_reply(stamp)
                 self.echo.process_sent(chunk)
@@ -138,7 +133,7 @@ class BusDecoder:
         if self._split and side == IN:
             self._note_split(frames, stamp)
         if framer.has_other:
-            self._classify(framer, frames, stamp, side)
+            self.classifier.classify(framer, frames, stamp, side)
         else:
             self.process_frames(frames, stamp, framer.bytes, side)
         if side and side == OUT:               # most chunks have no side
@@ -152,20 +147,21 @@ class BusDecoder:
         framer = self.framers.get(IN)
         if framer is None:
             return
-        plan, came = self.tracker.pending, framer.bytes - self.tracker.quiet_from
+        tracker = self.tracker
+        plan, came = tracker.pending, framer.bytes - tracker.quiet_from
         if framer.pending and (stamp - self._last_in > self.idle_ns or came >= plan.answers_size):
             self._flush(IN, framer, self._last_in)
         self._report_noise(framer)
-        self.tracker.unread.count_overlong_reply(plan, came, framer.noise_length > 0)
-        self.tracker.quiet_from = framer.bytes - framer.pending
+        tracker.unread.count_overlong_reply(plan, came, framer.noise_length > 0)
+        tracker.quiet_from = framer.bytes - framer.pending
         self._split = framer.bytes if framer.pending else 0
-        self.tracker.unread.judge_expired(stamp, self.byte_ns)
+        tracker.unread.judge_expired(stamp)
 
     def _note_split(self, frames: Frames, stamp: int) -> None:
         """Note a whole answer of which the program read a part, then asked, then read the rest."""
         for begin, end, _, number, *_, flaw in frames:
             if begin < self._split < end and flaw is None and self.tracker.pending.slots:
-                self.evidence.add_incident(stamp, ev.SPLIT, number, ev.NOTHING)
+                self.evidence.add_incident(stamp, ev.SPLIT, number)
         if frames:
             self._split = 0
 
@@ -176,14 +172,7 @@ class BusDecoder:
 
     def _flush(self, side: str, framer: AnyFramer, stamp: int) -> None:
         framer.stamp = stamp
-        self._classify(framer, framer.flush_frames(), stamp, side)
-
-    def _classify(self, framer: AnyFramer, frames: Frames, stamp: int, side: str) -> None:
-        """Hand on what a framer found, once it is known what it means."""
-        if self.classifier is None:
-            self.process_frames(frames, stamp, framer.bytes, side)
-        else:
-            self.classifier.classify(framer, frames, stamp, side)
+        self.classifier.classify(framer, framer.flush_frames(), stamp, side)
 
     def process_frames(self, frames: Frames, stamp: int, received: int,
                        side: str = UNKNOWN) -> None:
@@ -201,18 +190,13 @@ class BusDecoder:
             for side, framer in self.framers.items():
                 if framer.pending:
                     self._flush(side, framer, last)
-            self._confirm_waiting()
+            self.classifier.confirm_waiting()
             if not self.tracker.unread.reported_ns:    # else the program may not have read it
                 self.tracker.stop_waiting(now)
         elif now - last > self.idle_ns:
-            self._confirm_waiting()
+            self.classifier.confirm_waiting()
             for framer in self.framers.values():
                 framer.interrupt()
-
-    def _confirm_waiting(self) -> None:
-        """Take what waited for the next frame: the line is idle."""
-        if self.classifier is not None:
-            self.classifier.confirm_waiting()
 
     def process_change(self, change: Change, stamp: int) -> None:
         """Take what a source reported besides bytes."""
@@ -235,7 +219,7 @@ class BusDecoder:
             if value & 2:
                 self.tracker.unread.report_unsent(self.tracker.asked, stamp)
         elif what == GAVE_UP:
-            self.tracker.unread.report_vain_read(stamp - 1000 * value)
+            self.tracker.unread.vain_read_ns = stamp - 1000 * value
         elif what == LINE_MODE:
             self.line_mode = value
         elif what == AWAY:
@@ -256,7 +240,7 @@ class BusDecoder:
         self._discard_unread(stamp)
         for side, framer in self.framers.items():
             self._flush(side, framer, stamp)
-        self._confirm_waiting()
+        self.classifier.confirm_waiting()
         if IN in self.framers:
             self._report_noise(self.framers[IN])
         self.tracker.lose_track(stamp, lost)
@@ -266,15 +250,12 @@ class BusDecoder:
         """Begin on a new wire: what was on the other one is over, and no damage here."""
         self._end_stream(stamp)
         self.settings = self.settings._replace(baud=baud)
-        self.byte_ns = self.tracker.byte_ns = byte_ns(baud)
-        if self.classifier is not None:
-            self.classifier.byte_ns = self.byte_ns
         self.registry.set_baud(baud)
         self.set_latency_timer(self.settings.latency_timer_ms)
 
     def protocol(self) -> str:
         """Return what was heard here, in words: 'Dynamixel 2.0, Feetech'; '' for nothing yet."""
-        other = self.classifier.packets if self.classifier is not None else 0
+        other = self.classifier.packets
         words = [PROTOCOL_2] if self.total('packets') > other else []
         return ', '.join(words + [self.choice.dialect.name] * bool(other))
 
@@ -285,15 +266,17 @@ class BusDecoder:
 
     def cycle(self, now: int) -> CycleTimes | None:
         """Return where the time of the master's cycle goes; None without a cycle."""
-        unknown = NO_SIDES if OUT not in self.framers else '' if self.byte_ns else NO_RATE
+        unknown = NO_SIDES if OUT not in self.framers else '' if self.registry.byte_ns else NO_RATE
         return self.clock.times(now, unknown)
 
     def total(self, counter: str) -> int:
         """Return a counter of the framers, over all sides."""
-        count: int = sum(getattr(framer, counter) for framer in self.framers.values())
-        if self.classifier is not None and counter in REASONS:
-            count += self.classifier.damaged[REASONS[counter]]
-        return count
+        return sum(getattr(framer, counter) for framer in self.framers.values())
+
+    def damaged(self, reason: str) -> int:
+        """Return how many frames were damaged for a reason, over all sides."""
+        return self.classifier.damaged[reason] + sum(
+            framer.damaged[reason] for framer in self.framers.values())
 
     @property
     def noise_side(self) -> str:

@@ -166,6 +166,12 @@ class Device:
         return [(field.name, _special_value(field, data[field.at - address:field.end - address]))
                 for field in self._special if address <= field.at and field.end <= end]
 
+    def seen_code(self, name: str) -> int | None:
+        """Return the raw number that was seen in a register, None while it is unknown."""
+        field = self.model.by_name.get(name)
+        data = self.table.bytes(field.at, field.size) if field is not None else None
+        return None if field is None or data is None else field.code_of(data)
+
     def accept_pong(self, span: Span, data: bytes, stamp: int, source: int) -> None:
         """Keep the answer to a Ping: model number, firmware version; none in the 1.0 family."""
         self.counts.pongs += 1
@@ -199,6 +205,12 @@ class Device:
         self.acks = True
         self.acks_missing = 0
         return True
+
+    def count_damaged(self, damaged_ids: set[int], surely: int = 0) -> None:
+        """Count damage where its answer was due, surely 1: in that; damaged_ids: it is one."""
+        damaged_ids.add(self.number)
+        self.counts.garbled += 1
+        self.counts.damaged += surely
 
     def count_missed(self, now: int, stamp: int, doubtful: bool) -> None:
         """Count an answer that did not come, or perhaps came damaged; stamp: of the chunk."""
@@ -239,10 +251,6 @@ class Device:
         key = (instruction, address, error)
         if key in self.errors or len(self.errors) < _ERRORS_KEPT:
             self.errors[key] += 1
-
-    def add_snapshot(self) -> None:
-        """Take the snapshot of a second."""
-        self.snapshots.append(self.counts.copy())
 
     def keep_place(self) -> None:
         """Keep where the joint is, for the next report."""

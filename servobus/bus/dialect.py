@@ -78,9 +78,9 @@ class DialectChoice:
         votes = self._votes
         if votes[dialect.name] < 4 * STRONG_VOTE:
             votes[dialect.name] += weight
-        for one, other in ((DYNAMIXEL_1, FEETECH), (FEETECH, DYNAMIXEL_1)):
-            if votes[one.name] >= STRONG_VOTE and votes[one.name] >= 4 * votes[other.name]:
-                changed = self.dialect is not one
-                self.dialect = one
-                return changed
-        return False
+        other = FEETECH if dialect is DYNAMIXEL_1 else DYNAMIXEL_1
+        if self.dialect is dialect \
+                or votes[dialect.name] < max(STRONG_VOTE, 4 * votes[other.name]):
+            return False
+        self.dialect = dialect
+        return True

@@ -30,6 +30,7 @@ from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import Request
 from msg_defs.dxl_mixed import MixedFramer
 from msg_defs.dxl_packet import Framer
+from msg_defs.dxl_packet import REASONS
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.frame import EITHER_1
@@ -73,16 +74,15 @@ class Dxl1Classifier:
     """
 
     def __init__(self, registry: DeviceRegistry, evidence: Evidence, choice: DialectChoice,
-                 detector: Detector | None, byte_ns: float, process: Process) -> None:
+                 detector: Detector | None, process: Process) -> None:
         self._process = process
         self._evidence = evidence
         self._registry = registry
         self._choice = choice
         self._detector = detector
-        self.byte_ns = byte_ns
         self.slow_ns = REPLY_LATE_NS             # and the adapter may keep bytes back for longer
         self.packets = 0                   # those of the 1.0 family
-        self.damaged: Counter[str] = Counter()     # those under `auto`
+        self.damaged = dict.fromkeys(REASONS, 0)   # those under `auto`
         self._unconfirmed: Candidate | None = None     # it was the last
         self._confirmation = IdConfirmation(registry)
         self._request = _NOTHING
@@ -103,11 +103,11 @@ class Dxl1Classifier:
         is_noisy = False
         proving = self._proof(detector) if detector is not None and detector.proof else None
         for frame in frames:
-            kind, number, flaw = frame[2], frame[3], frame[6]
+            _, _, kind, number, _, _, flaw = frame
             if flaw is not None and flaw.noise_length > GLITCH:
                 is_noisy = True
             if self._unconfirmed is not None:
-                self._decide_unconfirmed(framer, flaw, found)
+                self._decide_unconfirmed(self._unconfirmed, framer, flaw, found)
             if kind < EITHER_1:
                 found.append(frame)
             elif flaw is not None and flaw.reason:
@@ -153,7 +153,7 @@ class Dxl1Classifier:
     def _report_family(self, framer: AnyFramer, frame: Frame, stamp: int) -> None:
         """Note a packet of the 1.0 family on a bus that speaks 2.0 as well."""
         if isinstance(framer, MixedFramer) and framer.has_first:
-            self._evidence.add_frequent(stamp, ev.PROTOCOL_1, frame[3], ev.Code(frame[4]))
+            self._evidence.add_frequent(stamp, ev.PROTOCOL_1, frame[3], frame[4])
 
     def _count_first_byte_lost(self, framer: AnyFramer) -> None:
         """Count the answers in the noise that lack only the first byte of their header."""
@@ -172,11 +172,9 @@ class Dxl1Classifier:
 
     # --- does this ID exist? --------------------------------------------------------------------
 
-    def _decide_unconfirmed(self, framer: AnyFramer, flaw: Flaw | None, found: Frames) -> None:
+    def _decide_unconfirmed(self, held: Candidate, framer: AnyFramer, flaw: Flaw | None,
+                            found: Frames) -> None:
         """Decide on the packet that waits, for another frame has come."""
-        held = self._unconfirmed
-        if held is None:
-            return
         is_same = framer is held.framer
         is_next = not is_same or flaw is None or not (flaw.reason or flaw.noise_length)
         frame = self._confirmed(held, is_next)
@@ -213,7 +211,7 @@ class Dxl1Classifier:
                 kind, params = in_common(code, number, params)
                 return begin, end, kind, number, code, params, flaw
         elif side == OUT or awaited is None or code:
-            ended = stamp - (received - end) * self.byte_ns
+            ended = stamp - (received - end) * self._registry.byte_ns
             is_status = side != OUT and self._is_status((number, code, params), ended, awaited)
             if is_status is None:
                 return _as_open(frame)
@@ -253,7 +251,7 @@ class Dxl1Classifier:
             return False
         if self._errors.get(number) == code and size == awaited:
             return True                    # it says so all the time
-        waited = ended - (size + 6) * self.byte_ns - self._asked_ns
+        waited = ended - (size + 6) * self._registry.byte_ns - self._asked_ns
         if waited >= self.slow_ns or size not in (awaited, 0):
             return False
         if waited <= REPLY_SURE_NS and (content != self._asked or number in self._errors):

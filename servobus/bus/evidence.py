@@ -25,7 +25,6 @@ from msg_defs.frame import Frame
 from msg_defs.frame import is_good
 from msg_defs.frame import IS_STATUS
 from msg_defs.frame import OPEN as OPEN_FRAME
-from servobus.bus.report import D
 from servobus.bus.report import Error
 from servobus.bus.report import Incident
 from servobus.bus.report import IncidentKind
@@ -123,52 +122,50 @@ class Written(NamedTuple):
     value: int
 
 
-NOTHING = Nothing()
-
 # --- kinds of incidents, each with what is known of it -----------------------------------------
 
-DAMAGED_STATUS = IncidentKind[PacketHeader]('damaged status')
-DAMAGED_INSTRUCTION = IncidentKind[PacketHeader]('damaged instruction')
-BAD_LENGTH = IncidentKind[Length]('bad length')
-CUT = IncidentKind[PacketHeader]('cut')                              # it ends too early
-GLITCH = IncidentKind[Nothing]('glitch')                      # counted only: a byte or two ahead
-MISSED = IncidentKind[Unanswered]('missed')                     # the first of a row
-DISCONNECTED = IncidentKind[Count]('disconnected')
-RETURNED = IncidentKind[SilentFor]('returned')
-REFUSED = IncidentKind[Refusal]('refused')
-ALERT = IncidentKind[Nothing]('alert')                        # it began
-SECOND_ANSWER = IncidentKind[Code]('second answer')           # already answered by this ID
-ANSWERED_AGAIN = IncidentKind[Code]('answered again')         # after damage that hid another
-UNASKED = IncidentKind[Nothing]('unasked answer')
-LATE = IncidentKind[Lateness]('late answer')
-TOO_LONG = IncidentKind[Sizes]('noise too long')              # for all answers that were due
-WRONG_SIZE = IncidentKind[Sizes]('wrong size')
-FAST_CUT = IncidentKind[Sizes]('fast reply cut')
-REPEATED = IncidentKind[Again]('repeated')
-UNSTUFFED = IncidentKind[Code]('unstuffed')                   # FF FF FD without its FD
-BAUD_WRITTEN = IncidentKind[Written]('Baud Rate written')     # the code
-LOCKED = IncidentKind[Written]('locked')                      # EEPROM; the address
-OPEN = IncidentKind[Code]('undecided packet')                 # an instruction or a status (1.0)
-CALIBRATED = IncidentKind[Nothing]('calibrated')              # the position became the middle
-OFFSET_WRITTEN = IncidentKind[Offsets]('offset written')       # Homing Offset of Feetech
-REBOOTED = IncidentKind[Nothing]('rebooted')
-ACKS_STOPPED = IncidentKind[Count]('acks stopped')
-UNKNOWN_INSTRUCTION = IncidentKind[Code]('unknown instruction')
-MALFORMED = IncidentKind[PacketHeader]('malformed')                  # length: parameter bytes
-BAD_ID = IncidentKind[Written]('bad id')                      # in a status, or in an instruction
-PROTOCOL_1 = IncidentKind[Code]('protocol 1.0')
-ECHO = IncidentKind[Nothing]('echo')                          # counted only: the master's
-FOREIGN = IncidentKind[Code]('foreign instruction')           # it came to the master
-READ_BY_ADAPTER = IncidentKind[Nothing]('read by the adapter')      # counted only: its status
-UNKNOWN_ANSWERED = IncidentKind[Nothing]('unknown instruction answered')      # counted only
-NOT_SENT = IncidentKind[Code]('not sent')
-THROWN_AWAY = IncidentKind[Code]('answers thrown away')       # unread
-WRONG_PACKET = IncidentKind[Code]('wrong packet')             # the master's: none takes it
-HUNG = IncidentKind[Lateness]('question never given up')
-SPLIT = IncidentKind[Nothing]('answer read in part')          # the program asked before its end
-STALE = IncidentKind[Nothing]('stale answers')                # it reads those, not the new ones
-SOURCE_LOST = IncidentKind[Count]('source lost')
-LEFT_OPEN = IncidentKind[Lateness]('last question open')      # it ended too soon to know
+DAMAGED_STATUS = IncidentKind('damaged status', PacketHeader)
+DAMAGED_INSTRUCTION = IncidentKind('damaged instruction', PacketHeader)
+BAD_LENGTH = IncidentKind('bad length', Length)
+CUT = IncidentKind('cut', PacketHeader)                              # it ends too early
+GLITCH = IncidentKind('glitch', Nothing)                      # counted only: a byte or two ahead
+MISSED = IncidentKind('missed', Unanswered)                     # the first of a row
+DISCONNECTED = IncidentKind('disconnected', Count)
+RETURNED = IncidentKind('returned', SilentFor)
+REFUSED = IncidentKind('refused', Refusal)
+ALERT = IncidentKind('alert', Nothing)                        # it began
+SECOND_ANSWER = IncidentKind('second answer', Code)           # already answered by this ID
+ANSWERED_AGAIN = IncidentKind('answered again', Code)         # after damage that hid another
+UNASKED = IncidentKind('unasked answer', Nothing)
+LATE = IncidentKind('late answer', Lateness)
+TOO_LONG = IncidentKind('noise too long', Sizes)              # for all answers that were due
+WRONG_SIZE = IncidentKind('wrong size', Sizes)
+FAST_CUT = IncidentKind('fast reply cut', Sizes)
+REPEATED = IncidentKind('repeated', Again)
+UNSTUFFED = IncidentKind('unstuffed', Code)                   # FF FF FD without its FD
+BAUD_WRITTEN = IncidentKind('Baud Rate written', Written)     # the code
+LOCKED = IncidentKind('locked', Written)                      # EEPROM; the address
+OPEN = IncidentKind('undecided packet', Code)                 # an instruction or a status (1.0)
+CALIBRATED = IncidentKind('calibrated', Nothing)              # the position became the middle
+OFFSET_WRITTEN = IncidentKind('offset written', Offsets)       # Homing Offset of Feetech
+REBOOTED = IncidentKind('rebooted', Nothing)
+ACKS_STOPPED = IncidentKind('acks stopped', Count)
+UNKNOWN_INSTRUCTION = IncidentKind('unknown instruction', Code)
+MALFORMED = IncidentKind('malformed', PacketHeader)                  # length: parameter bytes
+BAD_ID = IncidentKind('bad id', Written)                      # in a status, or in an instruction
+PROTOCOL_1 = IncidentKind('protocol 1.0', Code)
+ECHO = IncidentKind('echo', Nothing)                          # counted only: the master's
+FOREIGN = IncidentKind('foreign instruction', Code)           # it came to the master
+READ_BY_ADAPTER = IncidentKind('read by the adapter', Nothing)      # counted only: its status
+UNKNOWN_ANSWERED = IncidentKind('unknown instruction answered', Nothing)      # counted only
+NOT_SENT = IncidentKind('not sent', Code)
+THROWN_AWAY = IncidentKind('answers thrown away', Code)       # unread
+WRONG_PACKET = IncidentKind('wrong packet', Code)             # the master's: none takes it
+HUNG = IncidentKind('question never given up', Lateness)
+SPLIT = IncidentKind('answer read in part', Nothing)          # the program asked before its end
+STALE = IncidentKind('stale answers', Nothing)                # it reads those, not the new ones
+SOURCE_LOST = IncidentKind('source lost', Count)
+LEFT_OPEN = IncidentKind('last question open', Lateness)      # it ended too soon to know
 
 _INCIDENTS_KEPT = 1000
 _FREQUENT_APART_NS = 100_000_000  # between two that are kept, where each packet may be one
@@ -213,8 +210,10 @@ class Evidence:
         self._kept: dict[str, int] = {}  # stamp of the last that add_frequent() kept
         self.incidents_added = self.waits_added = 0                   # incidents and waits so far
 
-    def add_incident(self, stamp: int, kind: IncidentKind[D], device: int, detail: D) -> None:
-        incident = Incident(stamp, kind, device, detail)
+    def add_incident(self, stamp: int, kind: IncidentKind[Any], device: int,
+                     *detail: int) -> None:
+        """Note an incident; detail: the fields of what is known of each of its kind."""
+        incident = Incident(stamp, kind, device, kind.detail(*detail))
         self.incidents.append(incident)
         self.counts[kind] += 1
         self.incidents_added += 1
@@ -225,11 +224,12 @@ class Evidence:
         self.waits.append(wait)
         self.waits_added += 1
 
-    def add_frequent(self, stamp: int, kind: IncidentKind[D], device: int, detail: D) -> None:
+    def add_frequent(self, stamp: int, kind: IncidentKind[Any], device: int,
+                     *detail: int) -> None:
         """Note what may come with each packet: counted each time, kept once in a while."""
         if stamp - self._kept.get(kind, -_FREQUENT_APART_NS) >= _FREQUENT_APART_NS:
             self._kept[kind] = stamp
-            self.add_incident(stamp, kind, device, detail)
+            self.add_incident(stamp, kind, device, *detail)
         else:
             self.counts[kind] += 1
 
@@ -238,18 +238,18 @@ class Evidence:
         _, _, kind, number, code, _, _ = frame
         code = STATUS if kind == IS_STATUS else code
         if flaw.reason == OPEN_FRAME:
-            self.add_incident(stamp, OPEN, number, Code(code))
+            self.add_incident(stamp, OPEN, number, code)
         elif side == OUT:
             # One FF more in front is ID 255 of the 1.0 family, taken for a header.
             number = 0xFF if flaw.noise_length == 1 else number
-            self.add_incident(stamp, WRONG_PACKET, number, Code(code))
+            self.add_incident(stamp, WRONG_PACKET, number, code)
         elif flaw.reason == 'length':
-            self.add_incident(stamp, BAD_LENGTH, NO_DEVICE, Length(flaw.length))
+            self.add_incident(stamp, BAD_LENGTH, NO_DEVICE, flaw.length)
         elif flaw.reason == 'cut':
-            self.add_incident(stamp, CUT, NO_DEVICE, PacketHeader(code, flaw.length))
+            self.add_incident(stamp, CUT, NO_DEVICE, code, flaw.length)
         else:
             damaged = DAMAGED_STATUS if kind == IS_STATUS else DAMAGED_INSTRUCTION
-            self.add_incident(stamp, damaged, number, PacketHeader(code, flaw.length))
+            self.add_incident(stamp, damaged, number, code, flaw.length)
 
     def search_noise(self, noise: bytes, fresh: int, stamp: int) -> None:
         """Search for packets of Protocol 1.0 that end in the last `fresh` bytes of noise."""
@@ -258,7 +258,7 @@ class Evidence:
             _, end, _, number, code, data, _ = frame
             if is_good(frame) and end > len(noise) - fresh and number < BROADCAST - 1 \
                     and len(data) < NOISE_DATA_END:
-                self.add_incident(stamp, PROTOCOL_1, number, Code(code))
+                self.add_incident(stamp, PROTOCOL_1, number, code)
 
     def newest_incidents(self, count: int) -> tuple[Incident[Any], ...]:
         """Return the last incidents, oldest first."""

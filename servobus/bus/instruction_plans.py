@@ -7,7 +7,6 @@ A write to one device takes effect when the device acknowledges it, or does not 
 the device refuses never gets into its table. Where no answer is due it takes effect at once.
 """
 
-from collections.abc import Callable
 from collections.abc import Container
 from functools import partial
 from itertools import islice
@@ -26,6 +25,7 @@ from msg_defs.dxl_instruction import NAMES
 from msg_defs.dxl_instruction import parse
 from msg_defs.dxl_instruction import Request
 from msg_defs.dxl_instruction import RESET_ALL
+from msg_defs.dxl_instruction import span_at
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.frame import INSTRUCTION_2
 from servobus.bus import evidence as ev
@@ -40,7 +40,7 @@ from servobus.bus.plan import Due
 from servobus.bus.plan import Plan
 from servobus.bus.plan import Slot
 from servobus.bus.registry import DeviceRegistry
-from servobus.bus.report import IncidentKind
+from servobus.bus.table import NO_SPAN
 from servobus.bus.table import WRITTEN
 
 PLANS_LOOKED_AT = 64               # a master repeats fewer
@@ -48,7 +48,6 @@ TARGETS_KEPT = 64                  # different lists of IDs in Sync Writes
 SLOTS_KEPT = 32_768                # the size of all plans together: 3000 different reads
 BYTES_PER_SLOT = 32                # so many bytes of a plan's key count as one slot
 _ADDRESS_SIZE = 2                  # in front of what is written
-_span_at = Struct('<HH').unpack_from
 NO_PLAN = Plan(Request(0, 0xFF, Answers.NONE), {})
 
 _KEY_SIZE = {code: kind.key_size for code, kind in KINDS.items()}
@@ -82,14 +81,6 @@ class Planner:
             Instruction.CLEAR: registry.clear,
             Instruction.CONTROL_TABLE_BACKUP: registry.restore,
             CALIBRATE: registry.calibrate,
-        }
-        self._slot_makers: dict[Answers, Callable[[Request], list[Slot]]] = {
-            Answers.PING: self._ping_slots,
-            Answers.DATA: self._read_slots,
-            Answers.LISTED: self._read_slots,
-            Answers.COMBINED: self._read_slots,
-            Answers.ADAPTER: self._read_slots,
-            Answers.ACK: self._ack_slots,
         }
 
     def plan_for(self, raw: RawInstruction, stamp: int) -> Plan:
@@ -165,26 +156,25 @@ class Planner:
         if code != Instruction.SYNC_WRITE:     # see _find_targets()
             for access in request.accesses:
                 self._registry.device(access.id).record_use(access.address, access.length)
-        oddities: list[tuple[IncidentKind[Any], int, Any]] = []
+        oddities: list[tuple[Any, ...]] = []         # arguments of add_incident()
         if code not in names:
-            oddities.append((ev.UNKNOWN_INSTRUCTION, id, ev.Code(code)))
+            oddities.append((ev.UNKNOWN_INSTRUCTION, id, code))
         if request.malformed:
-            oddities.append((ev.MALFORMED, id, ev.PacketHeader(code, len(params))))
+            oddities.append((ev.MALFORMED, id, code, len(params)))
         if self._registry.is_impossible(request.id):
-            oddities.append((ev.BAD_ID, ev.NO_DEVICE, ev.Written(id)))
+            oddities.append((ev.BAD_ID, ev.NO_DEVICE, id))
             plan = Plan(request, {})
         else:
             plan = self._plan_of(request, code in names)
         if oddities:
             plan.oddities = tuple(one for one, *_ in oddities)
             plan.counted = 1               # noted here, and it has no reads
-            for one, number, what in oddities:
-                self._evidence.add_incident(stamp, one, number, what)
+            for one in oddities:
+                self._evidence.add_incident(stamp, *one)
         return plan
 
     def _plan_of(self, request: Request, is_known: bool) -> Plan:
-        make = self._slot_makers.get(request.answers)
-        slots = {slot.device.number: slot for slot in make(request)} if make is not None else {}
+        slots = {slot.device.number: slot for slot in self._slots_of(request)}
         if request.answers is Answers.COMBINED and slots:
             first = next(iter(slots.values())).device
             slots = {BROADCAST: combined_slot(first), **slots}
@@ -192,26 +182,25 @@ class Planner:
             slots[BROADCAST] = combined_slot(slots[request.accesses[-1].id].device)
         return Plan(request, slots, self._begin_of(request) if is_known else None)
 
-    def _ping_slots(self, request: Request) -> list[Slot]:
+    def _slots_of(self, request: Request) -> list[Slot]:
+        """Return the statuses that answer an instruction, one of each device."""
+        if request.answers in (Answers.NONE, Answers.EVERYBODY):
+            return []
+        if request.answers not in (Answers.PING, Answers.ACK):
+            return [self._read_slot(access) for access in request.accesses
+                    if access.id <= self._registry.highest]
         device = self._registry.device(request.id)
+        if request.answers is Answers.ACK:
+            return [Slot(device, Due.ACK, (request.address, 0), 0, device.accept_ack)]
         size = 3 if device.dialect is None else 0      # the 1.0 family answers without data
-        return [Slot(device, Due.ALWAYS, -1, size, device.accept_pong)]
-
-    def _read_slots(self, request: Request) -> list[Slot]:
-        highest = self._registry.highest
-        return [self._read_slot(access) for access in request.accesses if access.id <= highest]
+        return [Slot(device, Due.ALWAYS, NO_SPAN, size, device.accept_pong)]
 
     def _read_slot(self, access: Access) -> Slot:
         device = self._registry.device(access.id)
         accept: Accept = device.table.keep
         if device.is_defined_by(access.address, access.length):
             accept = partial(self._registry.read_special, device)
-        return Slot(device, Due.READ, access.address, access.length, accept)
-
-    def _ack_slots(self, request: Request) -> list[Slot]:
-        device = self._registry.device(request.id)
-        address = request.accesses[0].address if request.accesses else -1
-        return [Slot(device, Due.ACK, address, 0, device.accept_ack)]
+        return Slot(device, Due.READ, (access.address, access.length), access.length, accept)
 
     def _begin_of(self, request: Request) -> Begin | None:
         """Return what a repetition of this instruction starts, None for one that only asks."""
@@ -225,18 +214,18 @@ class Planner:
         if request.id != BROADCAST:
             device = self._registry.device(request.id)
             if request.accesses:
-                address = request.accesses[0].address
+                address = request.address
                 return lambda params, stamp: (
                     action, (device, address, params[_ADDRESS_SIZE:], stamp))
             arguments = _arguments(request)
             return lambda _, stamp: (action, (device, *arguments, stamp))
         if request.accesses:
-            return partial(self._write_all, action, request.accesses[0].address)
+            return partial(self._write_all, action, request.address)
         return partial(self._command_all, action, request)
 
     def _sync_write(self, params: bytes, stamp: int) -> None:
         """Write to many. Robots send this most of all, so it is not parsed each time."""
-        span = address, size = _span_at(params)
+        span = address, size = span_at(params)
         ids = params[4::size + 1]
         if 4 + len(ids) * (size + 1) != len(params):
             self._add_malformed(Instruction.SYNC_WRITE, params, stamp)
@@ -272,8 +261,7 @@ class Planner:
             self._add_malformed(Instruction.BULK_WRITE, params, stamp)
 
     def _add_malformed(self, code: int, params: bytes, stamp: int) -> None:
-        self._evidence.add_incident(stamp, ev.MALFORMED, BROADCAST,
-                                    ev.PacketHeader(code, len(params)))
+        self._evidence.add_incident(stamp, ev.MALFORMED, BROADCAST, code, len(params))
 
     def _write_all(self, action: Action, address: int, params: bytes, stamp: int) -> None:
         devices = list(self._registry.devices.values())

@@ -9,6 +9,7 @@ tracker looks a plan up by the bytes that say who and where, and an answer finds
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from enum import Enum
 from math import inf
 from struct import Struct
@@ -23,6 +24,7 @@ from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import HEADER_CRC
 from servobus.bus.device import Device
 from servobus.bus.evidence import UNKNOWN_INSTRUCTION
+from servobus.bus.table import NO_SPAN
 from servobus.bus.table import Span
 
 # What takes an answer in: address and size, data, stamp, source (as Table.keep); returns True
@@ -47,18 +49,15 @@ class Due(Enum):
     ACK = 'at Status Return Level 2'
 
 
+@dataclass(eq=False)
 class Slot:
     """One expected status: from which device, of how many data, and where these go."""
 
-    __slots__ = ('accept', 'device', 'due', 'size', 'span')
-
-    def __init__(self, device: Device, due: Due, address: int, length: int,
-                 accept: Accept) -> None:
-        self.device = device
-        self.due = due
-        self.span = address, length
-        self.size = length
-        self.accept = accept
+    device: Device
+    due: Due
+    span: Span
+    size: int
+    accept: Accept
 
     @property
     def status_size(self) -> int:
@@ -72,9 +71,7 @@ def combined_slot(first: Device) -> Slot:
 
     No status has its size, so the tracker always looks closer at it, and splits it.
     """
-    slot = Slot(first, Due.READ, 0, 0, ignore_data)
-    slot.size = _NO_SIZE
-    return slot
+    return Slot(first, Due.READ, NO_SPAN, _NO_SIZE, ignore_data)
 
 
 def ignore_data(span: Span, data: bytes, stamp: int, source: int) -> None:
@@ -87,8 +84,6 @@ class FastReply:
 
     Struct takes all parts out of the body in one call: slices of each cost more.
     """
-
-    __slots__ = ('_covered', '_fields', '_ids', 'slots')
 
     def __init__(self, accesses: tuple[Access, ...], slots: dict[int, Slot]) -> None:
         self.slots = [slots[access.id] for access in accesses]
@@ -129,9 +124,6 @@ class Plan:
     fast_reply: what it is made of, None where a part of it has no slot. oddities: the kinds
     of incident that each of these instructions is; the first is noted, the others are counted.
     """
-
-    __slots__ = ('asked', 'begin', 'counted', 'fast_reply', 'first', 'missed', 'oddities',
-                 'request', 'slots', 'stamps')
 
     def __init__(self, request: Request, slots: dict[int, Slot],
                  begin: Begin | None = None) -> None:
@@ -202,8 +194,3 @@ class Plan:
     def size(self) -> int:
         """How much memory it takes, in slots; a plan by itself is as large as eight."""
         return 8 + len(self.slots) + len(self.request.accesses)
-
-    @property
-    def address(self) -> int:
-        """The address it is about, -1 if none."""
-        return self.request.accesses[0].address if self.request.accesses else -1

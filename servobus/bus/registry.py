@@ -17,6 +17,7 @@ from msg_defs.dxl_instruction import ERROR
 from msg_defs.dxl_instruction import MULTI_TURN
 from msg_defs.dxl_instruction import RESTORE
 from msg_defs.dxl_packet import BROADCAST
+from msg_defs.uart import byte_ns
 from servobus.bus import evidence as ev
 from servobus.bus.device import Device
 from servobus.bus.device import OFFSET
@@ -55,7 +56,7 @@ _CLEARS = {MULTI_TURN: PLACE, ERROR: 'Hardware Error Status'}
 
 class DeviceRegistry:
     """
-    The devices, by the ID they answer to. baud: the rate of this bus.
+    The devices, by the ID they answer to. baud: the rate of this bus; byte_ns: what it means.
 
     plans_hold: False once a device has another ID or model: plans made before are no longer right.
     new_ids: of devices that were made since somebody cleared it.
@@ -64,7 +65,7 @@ class DeviceRegistry:
     def __init__(self, models: Models, expected: Iterable[Expected], baud: int,
                  evidence: Evidence) -> None:
         self._models = models
-        self.baud = baud
+        self.baud, self.byte_ns = baud, byte_ns(baud)
         self.tried = {baud}                # rates, one after the other
         self._evidence = evidence
         self.devices: dict[int, Device] = {}
@@ -111,14 +112,13 @@ class DeviceRegistry:
         if device.missed_in_a_row:
             silence_ms = (stamp - device.heard) // 1_000_000
             if device.heard and silence_ms >= ABSENCE_MS:
-                self._evidence.add_incident(stamp, ev.RETURNED, device.number,
-                                    ev.SilentFor(silence_ms, self._raw(device, TORQUE, -1),
-                                                 device.missed_in_a_row))
+                self._evidence.add_incident(stamp, ev.RETURNED, device.number, silence_ms,
+                                            self._raw(device, TORQUE, -1), device.missed_in_a_row)
             device.missed_in_a_row = 0
         alert = error >= ALERT
         if alert:
             if not device.alert:
-                self._evidence.add_incident(stamp, ev.ALERT, device.number, ev.NOTHING)
+                self._evidence.add_incident(stamp, ev.ALERT, device.number)
             device.counts.alerts += 1
         device.alert = alert
         device.heard = stamp
@@ -139,9 +139,7 @@ class DeviceRegistry:
                      source: int) -> None:
         """Keep what a device said of itself, where that may change what it is or does."""
         address = span[0]
-        at = device.identity_at - address
-        if 0 <= at <= len(data) - 2:
-            self._read_identity(device, address, data, stamp)
+        self._read_identity(device, address, data, stamp)
         device.table.keep(span, data, stamp, source)
         self.resolve(device)
         for name, value in device.special_values(address, data):
@@ -178,7 +176,7 @@ class DeviceRegistry:
     def _read_identity(self, device: Device, address: int, data: bytes, stamp: int) -> None:
         at = device.identity_at - address
         number = data[at:at + 2]
-        if number == device.identity[:2]:
+        if not 0 <= at <= len(data) - 2 or number == device.identity[:2]:
             return
         model = self._models.get(
             model_key(number[0] | number[1] << 8, device.protocol)) or UNKNOWN
@@ -209,9 +207,8 @@ class DeviceRegistry:
             return
         self._read_identity(device, at, number, device.heard)
         self.resolve(device)
-        field = device.model.by_name.get('Firmware Version')
-        if field is not None and device.firmware is None:
-            device.firmware = device.table.byte(field.at)
+        if device.firmware is None:
+            device.firmware = device.seen_code('Firmware Version')
 
     def store_error_bits(self, number: int, at: int, error: int, stamp: int) -> None:
         """Keep the error byte of a status of the 1.0 family where its table has it."""
@@ -222,7 +219,7 @@ class DeviceRegistry:
 
     def calibrate(self, device: Device, stamp: int) -> None:
         """Forget what a Calibrate of Feetech changes."""
-        self._evidence.add_incident(stamp, ev.CALIBRATED, device.number, ev.NOTHING)
+        self._evidence.add_incident(stamp, ev.CALIBRATED, device.number)
         self.resolve(device)
         device.table.forget('all', device.model, [
             field.name for field in device.model.fields if field.name not in _CALIBRATED])
@@ -271,7 +268,7 @@ class DeviceRegistry:
 
     def reboot(self, device: Device, stamp: int) -> None:
         """Forget what a device loses when it restarts."""
-        self._evidence.add_incident(stamp, ev.REBOOTED, device.number, ev.NOTHING)
+        self._evidence.add_incident(stamp, ev.REBOOTED, device.number)
         self.resolve(device)
         device.table.forget('ram', device.model)
         device.registered = None
@@ -310,16 +307,15 @@ class DeviceRegistry:
         field = device.model.by_address.get(address)
         is_kept = field is not None and field.memory == 'eeprom'
         device.counts.eeprom_writes += is_kept
-        lock = device.model.by_name.get('Lock')
-        is_locked = is_kept and lock is not None and device.table.byte(lock.at) == 1
+        is_locked = is_kept and 'Lock' in device.model.by_name and device.seen_code('Lock') == 1
         for name, value in device.special_values(address, data):
             if alone or name != 'ID':
                 self._followers[name](device, value, stamp)
         if is_locked:
-            self._evidence.add_incident(stamp, ev.LOCKED, device.number, ev.Written(address))
+            self._evidence.add_incident(stamp, ev.LOCKED, device.number, address)
 
     def _follow_baud(self, device: Device, value: int, stamp: int) -> None:
-        self._evidence.add_incident(stamp, ev.BAUD_WRITTEN, device.number, ev.Written(value))
+        self._evidence.add_incident(stamp, ev.BAUD_WRITTEN, device.number, value)
         field = device.model.by_name['Baud Rate']
         baud = int(field.decode(field.bytes_of(value)).number or 0)
         self._set_moved(device, baud,
@@ -328,8 +324,8 @@ class DeviceRegistry:
     def _follow_offset(self, device: Device, value: int, stamp: int) -> None:
         before = self._raw(device, OFFSET)
         if value != before:
-            self._evidence.add_incident(stamp, ev.OFFSET_WRITTEN, device.number,
-                                ev.Offsets(value, before, self._raw(device, PLACE)))
+            self._evidence.add_incident(stamp, ev.OFFSET_WRITTEN, device.number, value, before,
+                                        self._raw(device, PLACE))
 
     def _follow_torque(self, device: Device, value: int, stamp: int) -> None:
         if value == MIDDLE:
@@ -337,7 +333,7 @@ class DeviceRegistry:
 
     def set_baud(self, baud: int) -> None:
         """Follow the master to another rate, as devices do whose rate it has changed."""
-        self.baud = baud
+        self.baud, self.byte_ns = baud, byte_ns(baud)
         self.tried.add(baud)
         for device in self.devices.values():
             if not device.heard:               # it may not have been meant at all
@@ -369,6 +365,5 @@ class DeviceRegistry:
     def _raw(self, device: Device, name: str, unknown: int = 0) -> int:
         """Return what is known of a register."""
         self.resolve(device)
-        field = device.model.by_name.get(name)
-        data = device.table.bytes(field.at, field.size) if field is not None else None
-        return unknown if field is None or data is None else field.code_of(data)
+        code = device.seen_code(name)
+        return unknown if code is None else code

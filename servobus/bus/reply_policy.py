@@ -9,6 +9,7 @@ so always, until it stops while it goes on answering reads.
 """
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from msg_defs.frame import GLITCH
@@ -36,15 +37,14 @@ class OpenQuestion(NamedTuple):
     effect: Effect | None = None   # what it does once it is accepted
 
 
+@dataclass
 class ReplyPolicy:
     """write_acks: 'auto', 'always' or 'never'; missed_limit: both as the parameters."""
 
-    def __init__(self, write_acks: str, missed_limit: int, registry: DeviceRegistry,
-                 evidence: Evidence) -> None:
-        self._write_acks = write_acks
-        self._missed_limit = missed_limit
-        self._registry = registry
-        self._evidence = evidence
+    _write_acks: str
+    _missed_limit: int
+    _registry: DeviceRegistry
+    _evidence: Evidence
 
     def is_due(self, slot: Slot) -> bool:
         """Return whether this status, which did not come, had to come."""
@@ -64,16 +64,16 @@ class ReplyPolicy:
                 and device.acks_missing >= ACKS_MISSING_MAX:
             device.acks = False                # it answers reads, so it is there
             self._evidence.add_incident(device.asked_stamp, ev.ACKS_STOPPED, device.number,
-                                ev.Count(device.acks_missing))
+                                        device.acks_missing)
         return bool(device.acks)
 
     def count_refusal(self, slot: Slot, instruction: int, code: int, stamp: int) -> None:
         """Note a refusal, which is an acknowledgement too."""
         if slot.due is Due.ACK:
             slot.device.accept_ack()
-        refusal = ev.Refusal(instruction, slot.span[0], code)
+        refusal = instruction, slot.span[0], code
         slot.device.count_refusal(*refusal)
-        self._evidence.add_incident(stamp, ev.REFUSED, slot.device.number, refusal)
+        self._evidence.add_incident(stamp, ev.REFUSED, slot.device.number, *refusal)
 
     def judge_question(self, question: OpenQuestion, now: int, stamp: int, us: int = -1) -> None:
         """
@@ -98,10 +98,9 @@ class ReplyPolicy:
         most = sum(slot.size + STATUS_OVERHEAD for slot in slots)
         first = question.due[0].device
         if noise > most + GLITCH:
-            self._evidence.add_frequent(now, ev.TOO_LONG, first.number, ev.Sizes(noise, most))
+            self._evidence.add_frequent(now, ev.TOO_LONG, first.number, noise, most)
         elif not question.damaged_ids:
-            question.damaged_ids.add(first.number)
-            first.counts.garbled += 1
+            first.count_damaged(question.damaged_ids)
 
     def count_missed(self, plan: Plan, slot: Slot, now: int, stamp: int,
                      is_doubtful: bool) -> None:
@@ -111,8 +110,8 @@ class ReplyPolicy:
         device.count_missed(now, stamp, is_doubtful)
         device.counts.data_missed += slot.due is Due.READ
         if device.missed_in_a_row == 1:
-            self._evidence.add_incident(now, ev.MISSED, device.number,
-                                ev.Unanswered(plan.request.instruction, slot.span[0]))
+            self._evidence.add_incident(now, ev.MISSED, device.number, plan.request.instruction,
+                                        slot.span[0])
         elif device.missed_in_a_row == self._missed_limit + 1:
             self._evidence.add_incident(now, ev.DISCONNECTED, device.number,
-                                ev.Count(device.missed_in_a_row))
+                                        device.missed_in_a_row)

@@ -9,6 +9,7 @@ the dashboard and the terminal. Keys of counters are spelt as a user reads them,
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from dataclasses import field
 from dataclasses import fields
@@ -86,9 +87,14 @@ D = TypeVar('D')
 
 
 class IncidentKind(str, Generic[D]):
-    """The name of a kind of incident, and the type of what is known of each (evidence.py)."""
+    """The name of a kind of incident, and what is known of each: detail (evidence.py)."""
 
-    __slots__ = ()
+    detail: Callable[..., D]
+
+    def __new__(cls, name: str, detail: Callable[..., D]) -> IncidentKind[D]:
+        kind = super().__new__(cls, name)
+        kind.detail = detail
+        return kind
 
 
 @dataclass(slots=True)

@@ -56,8 +56,6 @@ def _decoded(field: Field, raw: bytes) -> Value:
 class Image:
     """Bytes with a stamp and a source each; source 0 = never seen."""
 
-    __slots__ = ('data', 'sources', 'stamps')
-
     def __init__(self) -> None:
         self.data = bytearray()
         self.stamps = array('q')
@@ -112,8 +110,6 @@ class _ListenedSpans(dict[Span, tuple[Data, int, int]]):
 class Table:
     """The memory image of one device, up to the address `limit`."""
 
-    __slots__ = ('_image', '_latest', 'limit')
-
     def __init__(self) -> None:
         self.limit = USUAL_LIMIT
         self._latest: dict[Span, tuple[Data, int, int]] = {}
@@ -151,13 +147,8 @@ class Table:
         twin._image = self._settle().copy()
         return twin
 
-    def byte(self, address: int) -> int | None:
-        """Return the byte at `address`, None if never seen. Indirect data are not resolved."""
-        image = self._settle()
-        return image.data[address] if image.knows(address, address + 1) else None
-
     def bytes(self, address: int, size: int) -> Data | None:
-        """`size` bytes from `address` on, None unless all of them were seen."""
+        """`size` bytes from `address` on, None unless all were seen; indirect data as they are."""
         image = self._settle()
         end = address + size
         return bytes(image.data[address:end]) if image.knows(address, end) else None
@@ -214,17 +205,12 @@ class Table:
         `keep`. Bytes the model does not know are forgotten.
         """
         names = set(keep)
-        old = self._settle()
-        new = Image()
+        image = self._settle()
+        kept = bytearray(len(image.sources))
         for field in model.fields:
-            kept = field.name in names or (memory == 'ram' and field.memory == 'eeprom')
-            if kept:
-                end = min(field.end, len(old.data))
-                new.grow(end)
-                new.data[field.at:end] = old.data[field.at:end]
-                new.stamps[field.at:end] = old.stamps[field.at:end]
-                new.sources[field.at:end] = old.sources[field.at:end]
-        self._image = new
+            if field.name in names or (memory == 'ram' and field.memory == 'eeprom'):
+                kept[field.at:field.end] = image.sources[field.at:field.end]
+        image.sources = kept
 
     def _resolved(self, model: Model) -> Image:
         image = self._settle()

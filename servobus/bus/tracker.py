@@ -54,9 +54,9 @@ _NOTHING = (-1, -1, -1, b'')
 class Tracker:
     """Follows one bus. Feed it what the Framer finds, in order."""
 
-    def __init__(self, registry: DeviceRegistry, evidence: Evidence, byte_ns: float,
-                 missed_limit: int, write_acks: str) -> None:
-        self._registry, self.byte_ns = registry, byte_ns
+    def __init__(self, registry: DeviceRegistry, evidence: Evidence, missed_limit: int,
+                 write_acks: str) -> None:
+        self._registry = registry
         self.planner = planner = Planner(registry, evidence)
         self._known = planner.known
         self._evidence, self._add_incident = evidence, evidence.add_incident
@@ -111,7 +111,7 @@ class Tracker:
         """Accept an instruction that came to the master; return whether it is its own."""
         is_own = raw == self._last or bool(self._evidence.counts[ev.ECHO])
         if not is_own:
-            self._add_incident(stamp, ev.FOREIGN, raw[1], ev.Code(raw[2]))
+            self._add_incident(stamp, ev.FOREIGN, raw[1], raw[2])
         return is_own
 
     def discount_latency(self, us: int, stamp: int) -> None:
@@ -121,13 +121,13 @@ class Tracker:
     def drop_unsent(self, stamp: int) -> None:
         """Note that the pending instruction did not get to the bus, or not all of it."""
         if self.pending is not NO_PLAN:
-            self._add_incident(stamp, ev.NOT_SENT, self._last[1], ev.Code(self._last[2]))
+            self._add_incident(stamp, ev.NOT_SENT, self._last[1], self._last[2])
         self._forget()
 
     def lose_track(self, stamp: int, lost: int) -> None:
         """Judge nothing that is pending: `lost` events were not heard, or the port was closed."""
         if lost:
-            self._add_incident(stamp, ev.SOURCE_LOST, ev.NO_DEVICE, ev.Count(lost))
+            self._add_incident(stamp, ev.SOURCE_LOST, ev.NO_DEVICE, lost)
         self.slots.pop(BROADCAST, None)
         self.unread.close(None if lost or self.pending is NO_PLAN
                           else self._open_question([*self.slots.values()]), stamp)
@@ -177,7 +177,7 @@ class Tracker:
         plan.stamps.append(stamp)
         if (start := plan.begin) is not None:  # nothing waits: _close() has ended that
             if flaw is not None and flaw.unstuffed and plan.request.accesses:
-                self._add_incident(stamp, ev.UNSTUFFED, raw[1], ev.Code(raw[2]))
+                self._add_incident(stamp, ev.UNSTUFFED, raw[1], raw[2])
             self._deferred = start(raw[3], stamp)
         self._asked = end, received, stamp
         self._unresolved = True
@@ -224,8 +224,8 @@ class Tracker:
         accesses = self.pending.request.accesses
         blocks = split_adapter_status(data, accesses)
         if blocks is None:
-            self._add_incident(stamp, ev.WRONG_SIZE, accesses[0].id, ev.Sizes(
-                len(data), sum(access.length for access in accesses)))
+            self._add_incident(stamp, ev.WRONG_SIZE, accesses[0].id, len(data),
+                               sum(access.length for access in accesses))
             return
         for block in blocks:
             if (slot := self.slots.pop(block.id, None)) is not None:
@@ -255,7 +255,7 @@ class Tracker:
                 self.slots[device.number] = slot       # a late one: its own may still come
             self._add_extra(device.number, is_again, stamp)
         else:
-            self._add_incident(stamp, ev.WRONG_SIZE, device.number, ev.Sizes(len(data), slot.size))
+            self._add_incident(stamp, ev.WRONG_SIZE, device.number, len(data), slot.size)
 
     def _carry_out(self) -> None:
         """Do what the pending instruction asked for: it was accepted, or not refused."""
@@ -276,12 +276,11 @@ class Tracker:
             damaged, unknown = self.pending.failed(there, blocks[-1].id if blocks else -1,
                                                  self.slots)
             for slot in damaged:
-                self._count_damaged(slot)
+                slot.device.count_damaged(self._damaged_ids, 1)
             for number in unknown:
                 del self.slots[number]
         if there < len(accesses) and self._state < pairing.SPOILT:
-            self._add_incident(stamp, ev.FAST_CUT, accesses[there].id,
-                               ev.Sizes(there, len(accesses)))
+            self._add_incident(stamp, ev.FAST_CUT, accesses[there].id, there, len(accesses))
         return len(blocks) == there < len(accesses)
 
     def _process_unasked(self, number: int, error: int, data: bytes, stamp: int) -> None:
@@ -291,7 +290,7 @@ class Tracker:
             self._accept_adapter_status(data, stamp)
             return
         if number > self._registry.highest:
-            self._add_incident(stamp, ev.BAD_ID, ev.NO_DEVICE, ev.Written(number))
+            self._add_incident(stamp, ev.BAD_ID, ev.NO_DEVICE, number)
             return
         if self.slots and self._deferred and self._registry.is_new_id(self._deferred, number):
             _, slot = self.slots.popitem()
@@ -308,7 +307,7 @@ class Tracker:
             self._registry.accept_pong(device, data, stamp, self.is_doubtful)
         elif self.is_doubtful:       # it may well have been asked, by what was damaged
             if number in plan.slots:
-                self._add_incident(stamp, ev.ANSWERED_AGAIN, number, ev.Code(request.instruction))
+                self._add_incident(stamp, ev.ANSWERED_AGAIN, number, request.instruction)
         elif not plan.is_understood and request.id in (number, BROADCAST):
             self._evidence.counts[ev.UNKNOWN_ANSWERED] += 1    # it may have asked for this
         elif (device.owed and device.accept_late_reply(stamp, self.unread.late_reply_ns)) \
@@ -319,15 +318,15 @@ class Tracker:
         elif number in plan.slots or is_again:
             self._add_extra(number, True, stamp)
         else:
-            self._add_incident(stamp, ev.UNASKED, number, ev.NOTHING)
+            self._add_incident(stamp, ev.UNASKED, number)
 
     def _add_extra(self, number: int, is_second: bool, stamp: int) -> None:
         """Note an answer more than is due: a second one, or a late one."""
         if is_second:
             plan = self.pending if number in self.pending.slots else self._before
-            self._add_incident(stamp, ev.SECOND_ANSWER, number, ev.Code(plan.request.instruction))
+            self._add_incident(stamp, ev.SECOND_ANSWER, number, plan.request.instruction)
         else:
-            self._add_incident(stamp, ev.LATE, number, ev.Lateness(self._since_asked(stamp)))
+            self._add_incident(stamp, ev.LATE, number, self._since_asked(stamp))
 
     def _process_flaw(self, frame: Frame, flaw: Flaw, stamp: int, side: str) -> bool:
         """Note what is wrong about a frame; return whether it is lost."""
@@ -367,7 +366,8 @@ class Tracker:
     def _process_damaged(self, frame: Frame, flaw: Flaw, stamp: int, side: str) -> int:
         """Note a damaged frame; return what happened to the pairing."""
         damage, _ = pairing.TO_MASTER if side == IN else pairing.ON_THE_WIRE
-        is_status, number, code, data = frame[2] == IS_STATUS, *frame[3:6]
+        _, _, kind, number, code, data, _ = frame
+        is_status = kind == IS_STATUS
         if is_status and number == BROADCAST and BROADCAST in self.slots \
                 and self.pending.request.answers is Answers.COMBINED:
             del self.slots[BROADCAST]
@@ -378,15 +378,11 @@ class Tracker:
             return damage
         slot = self.pending.slots.get(number) if is_status else None
         if slot is not None:
-            self._count_damaged(slot)
+            slot.device.count_damaged(self._damaged_ids, 1)
         elif self.slots and (is_status or code not in NAMES):
-            self._count_damaged(next(iter(self.slots.values())), 0)           # it is its turn
+            waited_for = next(iter(self.slots.values()))       # it is its turn
+            waited_for.device.count_damaged(self._damaged_ids)
         return damage
-
-    def _count_damaged(self, slot: Slot, surely: int = 1) -> None:
-        self._damaged_ids.add(slot.device.number)
-        slot.device.counts.garbled += 1
-        slot.device.counts.damaged += surely
 
     def _close(self, following: RawInstruction, began: int, received: int, stamp: int) -> None:
         """End the pending instruction; following: the next one, which began there."""
@@ -395,7 +391,7 @@ class Tracker:
         due = [*filter(self._policy.is_due, slots.values())]
         if due:
             self._end_question(self._open_question(due), following,
-                               int(stamp - (received - began) * self.byte_ns), stamp)
+                               int(stamp - (received - began) * self._registry.byte_ns), stamp)
         elif slots and self.unread.reported_ns:        # only a tap says what waits
             self.unread.keep_uncertain(self._open_question([*slots.values()]))
         if self._deferred is not None and (not due or self._state >= pairing.SPOILT):
@@ -405,7 +401,7 @@ class Tracker:
     def _end_question(self, question: OpenQuestion, following: RawInstruction, now: int,
                       stamp: int) -> None:
         """Judge a question with answers that were due and did not come, or have it deferred."""
-        if not self.unread.end_question(question, now, self.byte_ns):
+        if not self.unread.end_question(question, now):
             self._given_up = _NO_SLOTS
             return
         first = question.due[0]
@@ -415,19 +411,19 @@ class Tracker:
             self.unread.keep_given_up(first, question.asked, now)
         self._policy.judge_question(question, now, stamp, us := self._since_asked(now))
         if following == self._last:
-            self._add_incident(now, ev.REPEATED, first.device.number, ev.Again(following[2], us))
+            self._add_incident(now, ev.REPEATED, first.device.number, following[2], us)
 
     def _since_asked(self, now: int) -> int:        # in us, from its end
         return int(now - self._on_wire(*self._asked)) // 1000
 
     def _on_wire(self, offset: int, received: int, stamp: int) -> float:
         """Return when this offset was on the wire, from the end and the stamp of its chunk."""
-        return stamp - (received - offset) * self.byte_ns
+        return stamp - (received - offset) * self._registry.byte_ns
 
     def _sample_latency(self, device: Device, began: int, received: int, stamp: int) -> None:
         if device is not self.pending.first or self._state == DOUBTFUL:
             return                             # another device had its turn before it
         device.latency_resolved += 1
         end, asked_received, asked = self._asked       # as _on_wire(), which costs more
-        wait = stamp - asked - (received - began - asked_received + end) * self.byte_ns
+        wait = stamp - asked - (received - began - asked_received + end) * self._registry.byte_ns
         device.latency.add(wait / 1e6 if wait > 0 else 0.0, stamp)

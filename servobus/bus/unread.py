@@ -95,8 +95,9 @@ class UnreadAnswers:
     The receive queue of the master, and the questions that are over.
 
     old_until: what comes before this offset of the stream to the master is old, 0: nothing is.
-    reported_ns: stamp of the last UNREAD, 0: never. deferred: the questions in that state, the
-    oldest first. discarded: how many bytes were since the last question.
+    reported_ns: stamp of the last UNREAD, 0: never. vain_read_ns: until when the program looked
+    for bytes, and there were none. deferred: the questions in that state, the oldest first.
+    discarded: how many bytes were since the last question.
     """
 
     def __init__(self, registry: DeviceRegistry, evidence: Evidence, policy: ReplyPolicy) -> None:
@@ -105,7 +106,7 @@ class UnreadAnswers:
         self._policy = policy
         self.old_until = self.reported_ns = self.discarded = 0
         self._reported_at = 0              # offset of the stream at the last UNREAD
-        self._vain_read_ns = self._purged_ns = self._closed_ns = 0     # stamps of the last ones
+        self.vain_read_ns = self._purged_ns = self._closed_ns = 0     # stamps of the last ones
         self._stale_questions = 0          # in a row
         self._unsent_ns = -1               # stamp of the question that was not sent
         self._late_ns = -1                 # stamp of the question of which the answer was late
@@ -133,13 +134,9 @@ class UnreadAnswers:
         elif received > self._reported_at:
             self._stale_questions += 1
             if self._stale_questions % STALE_MIN_QUESTIONS == 0:
-                self._evidence.add_incident(stamp, ev.STALE, ev.NO_DEVICE, ev.NOTHING)
+                self._evidence.add_incident(stamp, ev.STALE, ev.NO_DEVICE)
         self.old_until = waiting and received + waiting
         self._reported_at, self.reported_ns = received, stamp
-
-    def report_vain_read(self, stamp: int) -> None:
-        """Note that the program looked for bytes until now, and there were none."""
-        self._vain_read_ns = stamp
 
     def report_unsent(self, asked: int, stamp: int) -> None:
         """Note that the program discarded what it was about to send: its question, if just now."""
@@ -161,11 +158,11 @@ class UnreadAnswers:
             awaited = [slot for state in (DEFERRED, UNCERTAIN) for question in
                        self._questions[state] for slot in question.due
                        if stamp - question.asked < LATE_REPLY_NS] + awaited
-        is_all = bool(slots) and self._vain_read_ns <= asked and waiting == _size_of(awaited)
+        is_all = bool(slots) and self.vain_read_ns <= asked and waiting == _size_of(awaited)
         if is_all:
             if self._reported_at == received:
                 self._evidence.add_incident(stamp, ev.THROWN_AWAY, plan.request.id,
-                                    ev.Code(plan.request.instruction))
+                                            plan.request.instruction)
             self.discarded = 0
             for slot in awaited:
                 self._registry.accept_status(slot.device, 0, stamp)
@@ -184,36 +181,36 @@ class UnreadAnswers:
         waiting = self.waiting
         given_up = [one for one in self._given_up if stamp - one[1] < LATE_REPLY_NS]
         late = [slot for slot, _ in given_up]
-        late += slots.values() if len(slots) == 1 and self._vain_read_ns > asked else ()
+        late += slots.values() if len(slots) == 1 and self.vain_read_ns > asked else ()
         sizes = [0, *accumulate(slot.status_size for slot in late)]
         begin, end = (0, sizes.index(waiting)) if waiting in sizes else next(
             ((at, at + 1) for at, slot in enumerate(late) if slot.status_size == waiting), (0, 0))
         for slot in late[begin:end]:
             self._registry.accept_status(slot.device, 0, stamp)
-            self._evidence.add_incident(stamp, ev.LATE, slot.device.number, ev.Lateness(0))
+            self._evidence.add_incident(stamp, ev.LATE, slot.device.number, 0)
         if end > len(given_up):
             self._late_ns = asked
         self._given_up = deque(given_up[:begin] + given_up[end:], QUESTIONS_KEPT)
         answered = None if slots or end else plan.slots.get(plan.request.id)
         if answered is not None and waiting == answered.status_size:
             self._evidence.add_incident(stamp, ev.SECOND_ANSWER, answered.device.number,
-                                ev.Code(plan.request.instruction))
+                                        plan.request.instruction)
 
     # --- a question is over ---------------------------------------------------------------------
 
-    def end_question(self, question: OpenQuestion, now: int, byte_ns: float) -> bool:
+    def end_question(self, question: OpenQuestion, now: int) -> bool:
         """Accept a question with answers that are due; return whether these are missed."""
         if self._unsent_ns == question.asked:
             self._note_unsent(question, now)
             event = NOT_SENT
         elif not self.old_until and (
                 not self.reported_ns or question.is_spoilt or self._has_waited(question)
-                or self._has_had_time(question, now, byte_ns)):
+                or self._has_had_time(question, now)):
             event = WAITED
         else:
             event = NOT_READ if self._purged_ns < question.asked else NOT_READ_PURGED
             waited, slot = now - question.asked, question.due[0]
-            if waited < byte_ns * (STATUS_OVERHEAD_1 + slot.size):      # no answer is over so soon
+            if waited < self._registry.byte_ns * (STATUS_OVERHEAD_1 + slot.size):  # it is too soon
                 self._evidence.add_wait(Wait(now, waited // 1000, slot.device.number, False))
         state = NEXT[PENDING][event]
         if state == MISSED:
@@ -229,14 +226,14 @@ class UnreadAnswers:
         """Keep a missed answer that was looked for, if it may be late: it lives, or it is soon."""
         device = slot.device
         lives = device.heard and device.missed_in_a_row <= ALIVE_MAX_MISSED
-        if self._vain_read_ns > asked != self._late_ns and (
+        if self.vain_read_ns > asked != self._late_ns and (
                 lives or now - asked < ADAPTER_DELAY_NS):
             self._given_up.append((slot, now))
 
-    def judge_expired(self, now: int, byte_ns: float) -> None:
+    def judge_expired(self, now: int) -> None:
         """Judge what was deferred long enough ago, where nothing waits."""
         while not self.old_until and self.deferred \
-                and self._has_had_time(self.deferred[0], now, byte_ns):
+                and self._has_had_time(self.deferred[0], now):
             self._end_deferred(self.deferred[0], EXPIRED, now)
 
     def close(self, pending: OpenQuestion | None, stamp: int) -> None:
@@ -264,17 +261,17 @@ class UnreadAnswers:
 
     def _note_unsent(self, question: OpenQuestion, now: int) -> None:
         request = question.plan.request
-        self._evidence.add_incident(now, ev.NOT_SENT, request.id, ev.Code(request.instruction))
+        self._evidence.add_incident(now, ev.NOT_SENT, request.id, request.instruction)
 
     def _has_waited(self, question: OpenQuestion) -> bool:
         """Return whether the program looked for the answer for some time."""
-        return self._vain_read_ns > question.asked + NO_WAIT_NS
+        return self.vain_read_ns > question.asked + NO_WAIT_NS
 
-    def _has_had_time(self, question: OpenQuestion, now: int, byte_ns: float,
+    def _has_had_time(self, question: OpenQuestion, now: int,
                       delay_ns: float = ADAPTER_DELAY_NS) -> bool:
         """Return whether all answers would have come by now."""
         size = sum(slot.size + STATUS_OVERHEAD for slot in question.due)
-        return now - question.asked >= delay_ns + byte_ns * size
+        return now - question.asked >= delay_ns + self._registry.byte_ns * size
 
     # --- what the program reads -----------------------------------------------------------------
 
@@ -329,20 +326,18 @@ class UnreadAnswers:
         """Accept an answer that waited and that nothing asked for, as far as is known."""
         self._registry.accept_status(device, code, stamp)
         if device.accept_late_reply(stamp, self.late_reply_ns):
-            self._evidence.add_incident(stamp, ev.LATE, device.number, ev.Lateness(0))
+            self._evidence.add_incident(stamp, ev.LATE, device.number, 0)
         elif before.asks(device, len(data)) or (
                 len(self.deferred) < QUESTIONS_KEPT and device.counts.answers > OWN_ANSWERS_MIN):
             self._evidence.add_incident(stamp, ev.SECOND_ANSWER, device.number,
-                                ev.Code(before.request.instruction))
+                                        before.request.instruction)
 
     def _judge_damaged(self, number: int, stamp: int) -> None:
         """Accept a damaged answer: that to the oldest question, or to one to this device."""
         found = [(question, slot) for question in self.deferred for slot in question.due]
         found.sort(key=lambda one: one[1].device.number != number)
         for question, slot in found[:1]:
-            question.damaged_ids.add(slot.device.number)
-            slot.device.counts.garbled += 1
-            slot.device.counts.damaged += 1
+            slot.device.count_damaged(question.damaged_ids, 1)
             if len(question.due) == 1:
                 self._end_deferred(question, DAMAGED, stamp)
 
@@ -370,23 +365,22 @@ class UnreadAnswers:
 
     # --- the program has ended ------------------------------------------------------------------
 
-    def judge_last(self, end: int, failed: bool, byte_ns: float) -> None:
+    def judge_last(self, end: int, failed: bool) -> None:
         """
         Judge the questions that a program ended with, if their answers had their time.
 
         end: when it was heard last; failed: it ended by itself with an error.
         """
         questions = self._questions[LAST]
-        end = max(end, self.reported_ns, self._vain_read_ns, self._closed_ns)
+        end = max(end, self.reported_ns, self.vain_read_ns, self._closed_ns)
         for question in questions:
             slot, waited = next(iter(question.due), None), end - question.asked
             if waited > HUNG_WAIT_NS and slot is not None and not self.old_until \
                     and (slot.due is not Due.ACK or self._reads_acks(question, slot)) \
-                    and max(self._vain_read_ns, self._purged_ns) < question.asked:
-                self._evidence.add_incident(end, ev.HUNG, slot.device.number,
-                                            ev.Lateness(waited // 1000))
+                    and max(self.vain_read_ns, self._purged_ns) < question.asked:
+                self._evidence.add_incident(end, ev.HUNG, slot.device.number, waited // 1000)
             else:
-                self._judge_open(question, failed, question is questions[-1], byte_ns)
+                self._judge_open(question, failed, question is questions[-1])
         questions.clear()
 
     def _reads_acks(self, question: OpenQuestion, slot: Slot) -> bool:
@@ -395,9 +389,8 @@ class UnreadAnswers:
         return bool(slot.device.acks) and (
             self.reported_ns > question.asked or (plan.asked > ACKS_READ_MIN and not plan.missed))
 
-    def _judge_open(self, question: OpenQuestion, failed: bool, is_last: bool,
-                    byte_ns: float) -> None:
-        now = max(self.reported_ns, self._vain_read_ns)
+    def _judge_open(self, question: OpenQuestion, failed: bool, is_last: bool) -> None:
+        now = max(self.reported_ns, self.vain_read_ns)
         slots = [*question.plan.slots.values()]
         is_passed = bool(slots) and slots[-1] not in question.due      # the others had a turn
         if is_passed:
@@ -411,17 +404,16 @@ class UnreadAnswers:
         if self._unsent_ns == question.asked:
             self._note_unsent(question, now)
         elif failed and (is_passed or question.is_spoilt or question.damaged_ids
-                       or self._had_time_at_end(question, due, now, byte_ns)):
+                       or self._had_time_at_end(question, due, now)):
             self._policy.judge_question(question._replace(due=due), now, now, us)
         elif is_last and (failed or not due[0].device.heard):
-            self._evidence.add_incident(now, ev.LEFT_OPEN, due[0].device.number, ev.Lateness(us))
+            self._evidence.add_incident(now, ev.LEFT_OPEN, due[0].device.number, us)
 
-    def _had_time_at_end(self, question: OpenQuestion, due: list[Slot], now: int,
-                         byte_ns: float) -> bool:
+    def _had_time_at_end(self, question: OpenQuestion, due: list[Slot], now: int) -> bool:
         """Return whether all answers would have come, to a program that read all that did."""
         delay_ns = ADAPTER_DELAY_NS if any(slot.due is Due.ACK for slot in due) \
             else self._slowest_ns()
-        return self._has_had_time(question, now, byte_ns, delay_ns) \
+        return self._has_had_time(question, now, delay_ns) \
             and not self.old_until and self._purged_ns < question.asked
 
     def _slowest_ns(self) -> float:

@@ -17,6 +17,7 @@ import re
 import reprlib
 import stat
 from typing import Any
+from typing import NamedTuple
 
 import yaml
 
@@ -41,10 +42,6 @@ class ModelError(ServobusError):
         parts = [printable(part, MESSAGE_PART_MAX_CHARS)
                  for part in (str(file), field, reason) if part]
         super().__init__(f'{": ".join(parts)}; {printable(remedy, MESSAGE_PART_MAX_CHARS)}')
-        self.file = str(file)
-        self.field = field
-        self.reason = reason
-        self.remedy = remedy
 
 
 class _Loader(getattr(yaml, 'CSafeLoader', yaml.SafeLoader)):  # type: ignore[misc]
@@ -97,25 +94,16 @@ def read_yaml(path: Path) -> Any:
 def read_file(path: Path) -> bytes:
     """Return the bytes of a model file; ModelError where it cannot be read."""
     try:
-        return _content(path)
+        about = os.stat(path)
+        if not stat.S_ISREG(about.st_mode):        # a pipe would keep us waiting
+            raise OSError(errno.EINVAL, 'not a file')
+        if about.st_size > FILE_LIMIT:
+            raise OSError(errno.EFBIG, f'longer than {FILE_LIMIT} bytes')
+        with open(path, 'rb') as file:
+            return file.read()
     except OSError as error:
         raise ModelError(path, '', f'cannot be read: {error.strerror}',
                          'check the file and its permissions') from None
-
-
-def _content(path: Path) -> bytes:
-    """Return the bytes of a file; OSError for a pipe, a folder, and what is not a model file."""
-    with open(path, 'rb', opener=_open) as file:
-        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise OSError(errno.EINVAL, 'not a file')
-        text = file.read(FILE_LIMIT + 1)
-    if len(text) > FILE_LIMIT:
-        raise OSError(errno.EFBIG, f'longer than {FILE_LIMIT} bytes')
-    return text
-
-
-def _open(path: str, flags: int) -> int:
-    return os.open(path, flags | os.O_NONBLOCK)        # a pipe would keep us waiting
 
 
 def _check_weight(text: bytes) -> None:
@@ -144,12 +132,11 @@ def _check_weight(text: bytes) -> None:
             raise _refusal(f'more than {NODES_LIMIT} values', event.start_mark)
 
 
-class Check:
+class Check(NamedTuple):
     """Raises ModelError for one place in one file; the methods return what they checked."""
 
-    def __init__(self, path: Path, field: str) -> None:
-        self.path = path
-        self.field = field
+    path: Path
+    field: str
 
     def error(self, reason: str, remedy: str) -> ModelError:
         return ModelError(self.path, self.field, reason, remedy)

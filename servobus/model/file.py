@@ -133,13 +133,10 @@ def _moved(field: Field, by: int, rename: Callable[[str], str], check: Check) ->
 
 def _build_field(raw: Raw, check: Check, context: Context) -> Field:
     words = context.words
-    for key in ('at', 'name', 'type'):
-        if key not in raw:
-            raise check.error(f'no {key}', f'add {key}: to the field')
-    type_ = check.choice(raw['type'], 'type', TYPES)
+    type_ = check.choice(raw.get('type'), 'type', TYPES)
     fixed: Raw = {
-        'at': check.integer(raw['at'], 'at', 0, ADDRESS_END - STRUCTS[type_].size),
-        'name': check.text(raw['name'], 'name'), 'type': type_,
+        'at': check.integer(raw.get('at'), 'at', 0, ADDRESS_END - STRUCTS[type_].size),
+        'name': check.text(raw.get('name'), 'name'), 'type': type_,
         'access': check.choice(raw.get('access', ''), 'access', ('', *ACCESS)),
         'memory': check.choice(raw.get('memory', ''), 'memory', ('', *MEMORY)),
         'byte_order': context.byte_order}

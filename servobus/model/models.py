@@ -58,17 +58,12 @@ class Models:
 
     def _add_folder(self, folder: Path) -> None:
         layers = Layers(folder, BUILT_IN)
-        index: dict[int, tuple[Path, str]] = {}
         for path in model_files(folder):
+            self._layers[path] = layers
             for number, name in scan_numbers(path, layers).items():
-                if number in index:
-                    raise _twice(path, number, index[number][0])
-                index[number] = path, name
-        for number, entry in index.items():
-            known = self._index.setdefault(number, entry)
-            if known[0].suffix == SUFFIX != entry[0].suffix:
-                self._index[number] = entry
-            self._layers[entry[0]] = layers
+                known, _ = self._index.setdefault(number, (path, name))
+                if known.suffix == SUFFIX != path.suffix:
+                    self._index[number] = path, name
 
     def get(self, number: int, firmware: int | None = None) -> Model | None:
         """

@@ -147,7 +147,7 @@ def feed(chunks, sent, family=FAMILY_2):
         assert framer.repaired == sum(one.repaired for one in packets)
         assert framer.pending <= family.longest
     assert framer.pending == 0
-    assert framer.crc_errors + framer.truncated + framer.bad_length == len(damaged)
+    assert sum(framer.damaged.values()) == len(damaged)
     return framer.good, damaged
 
 

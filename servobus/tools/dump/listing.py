@@ -154,7 +154,7 @@ class Listing(BusDecoder):
         """Return when the byte at this offset was on the wire."""
         if not self._is_timed:
             return start * BITS_PER_BYTE * 1_000_000_000 // self.settings.baud
-        return stamp - int((received - start) * self.byte_ns)
+        return stamp - int((received - start) * self.registry.byte_ns)
 
     def process_pause(self, last: int, now: int) -> None:
         plan, counts = self.tracker.pending, _missed(self.tracker.pending)
