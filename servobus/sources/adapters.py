@@ -104,10 +104,6 @@ class Adapter:
         """Return the bytes of the line in one transfer to the host, and what else it says."""
         return data, []
 
-    def bare(self, data: bytes) -> bytes | None:
-        """Return what received() does where it has nothing else to say; None: ask that."""
-        return data
-
     def control(self, setup: Setup, data: bytes) -> Changes:
         """Return what a control transfer sets; data: what went with it in either direction."""
         return []
@@ -127,6 +123,7 @@ class Ftdi(Adapter):
 
     name = 'FTDI'
     IDLE_SIZE = _STATUS_SIZE = 2
+    _ERROR_BITS = 0x1E             # those of _ERRORS
     MULTI = (0x0500, 0x0700, 0x0800, 0x2800, 0x2900, 0x3300)
     _EIGHTHS = (0, 3, 2, 4, 1, 5, 6, 7)       # by the code in bits 14 to 16 of the divisor
 
@@ -139,17 +136,14 @@ class Ftdi(Adapter):
         return setup.kind == _VENDOR_OUT and setup.request in (3, 9) and setup.target & 0xFF < 8
 
     def received(self, data: bytes) -> tuple[bytes, Changes]:
-        size = self.packet_size
-        packets = [data[at:at + size] for at in range(0, len(data), size)]
-        changes = [change for packet in packets if len(packet) > self._STATUS_SIZE
-                   for change in _errors(packet[1])]
-        return b''.join([packet[self._STATUS_SIZE:] for packet in packets]), changes
-
-    def bare(self, data: bytes) -> bytes | None:
-        size = len(data)
-        if size > self.packet_size or (size > self._STATUS_SIZE and data[1] & 0x1E):
-            return None
-        return data[self._STATUS_SIZE:]
+        line = b''
+        changes: Changes = []
+        for at in range(0, len(data), self.packet_size):
+            packet = data[at:at + self.packet_size]
+            line += packet[self._STATUS_SIZE:]
+            if len(packet) > self._STATUS_SIZE and packet[1] & self._ERROR_BITS:
+                changes += _errors(packet[1])
+        return line, changes
 
     def control(self, setup: Setup, data: bytes) -> Changes:
         kind, request, value, _ = setup
@@ -277,9 +271,6 @@ class Cp210x(Adapter):
         if request == 0x15:
             self._escape = bytes([value & 0xFF]) if value & 0xFF else b''
         return []
-
-    def bare(self, data: bytes) -> bytes | None:
-        return None if self._escape else data
 
     def received(self, data: bytes) -> tuple[bytes, Changes]:
         if not self._escape:

@@ -26,6 +26,7 @@ from servobus.sources.usbmon import UsbEvent
 
 _GET_DESCRIPTOR = (0x80, 6)
 _DEVICE, _CONFIGURATION, _INTERFACE, _ENDPOINT = 1, 2, 4, 5
+_DEVICE_SIZE = 18
 _BULK_KIND = 2                     # in an endpoint's attributes
 _SMALL, _LARGE = 64, 512           # packets of a full-speed and of a high-speed device
 _SMALL_MARK, _LARGE_MARK = 1, 2    # low half of FTDI's first status byte: the size of packets
@@ -35,12 +36,13 @@ DEVICES_MAX = 4096                 # what a damaged file may invent
 
 
 class Found(NamedTuple):
-    """A serial port in a stream; size: bytes of its bulk transfers so far."""
+    """A serial port; size: bytes of its bulk transfers so far."""
 
     place: Place
     adapter: Adapter
     vendor: int
     product: int
+    interface: int
     size: int
 
     @property
@@ -71,7 +73,7 @@ class _UsbDevice:
 
     def add_descriptor(self, data: bytes) -> None:
         """Add a descriptor of the device, or those of a configuration."""
-        if len(data) >= 18 and data[1] == _DEVICE:
+        if len(data) >= _DEVICE_SIZE and data[1] == _DEVICE:
             self.identity = UsbIdentity(_word(data, 8), _word(data, 10), _word(data, 12))
         if data[1:2] == bytes([_CONFIGURATION]):
             endpoints = _endpoints(data)
@@ -95,7 +97,7 @@ class _UsbDevice:
             if adapter is not None:
                 size = self.seen.get(incoming.address, 0) + self.seen.get(outgoing, 0)
                 found.append(Found(Place(bus, device, incoming.address & ~INPUT, outgoing),
-                                   adapter, vendor, product, size))
+                                   adapter, vendor, product, incoming.interface, size))
         return found
 
     def _pairs(self) -> list[tuple[_Endpoint, int]]:
@@ -122,6 +124,14 @@ class _UsbDevice:
         if self.is_ftdi and self.has_header:
             return Ftdi(size)
         return CdcAcm(size) if self.has_header and not self.identity.vendor else None
+
+
+def described_ports(descriptors: bytes, bus: int, device: int) -> list[Found]:
+    """Return the serial ports of a device, from its own descriptor and those that follow it."""
+    described = _UsbDevice()
+    described.add_descriptor(descriptors[:_DEVICE_SIZE])
+    described.add_descriptor(descriptors[_DEVICE_SIZE:])
+    return described.ports(bus, device)
 
 
 class Survey:
