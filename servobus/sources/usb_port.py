@@ -9,8 +9,8 @@ to the host. Neither is the time on the wire: an adapter gathers what it receive
 
 from __future__ import annotations
 
+from typing import Any
 from typing import NamedTuple
-from typing import TypeVar
 
 from msg_defs.event import Change
 from msg_defs.event import Changes
@@ -42,17 +42,15 @@ PENDING_TRANSFERS_MAX = 256        # transfers under way; a driver has 16 at mos
 UNPLUGGED_CHANGE = Change(GONE, 1)
 _NO_CHANGES: Changes = []
 _SENT = 'sent'                     # the end of an output
-_Key = TypeVar('_Key')
-_Kept = TypeVar('_Kept')
 
 
 class Place(NamedTuple):
-    """Where a port is on USB; bulk endpoints without the bit of the direction, 0: any."""
+    """Where a port is on USB; bulk endpoints without the bit of the direction."""
 
     bus: int
     device: int
-    bulk_in: int = 0
-    bulk_out: int = 0
+    bulk_in: int
+    bulk_out: int
 
     @property
     def words(self) -> str:
@@ -72,7 +70,6 @@ class UsbPort:
         self.adapter = adapter
         self._name = name
         self.later = 0                                 # ns that are added to stamps
-        self._bulk = {place.bulk_in | INPUT: IN, place.bulk_out: OUT} if place.bulk_in else None
         self._setups = Setups()
         self._sizes: dict[int, int] = {}               # data on their way to the adapter
         self._kinds = _kinds(place)
@@ -133,7 +130,7 @@ class UsbPort:
 
     def _bulk_data(self, event: UsbEvent) -> tuple[bytes, str, Changes]:
         endpoint, is_done, status, number, _, data, size = event[3:4] + event[5:]
-        if self._bulk is not None and endpoint not in self._bulk:
+        if endpoint not in (self.place.bulk_in | INPUT, self.place.bulk_out):
             return b'', UNKNOWN, []
         if endpoint & INPUT:
             if not is_done:
@@ -166,7 +163,7 @@ def _cut(event: UsbEvent) -> Changes:
 
 def _end_of(event: UsbEvent) -> Changes:
     """Return whether the port was closed or unplugged."""
-    if event.status in UNPLUGGED[:1]:
+    if event.status == UNPLUGGED:
         return [UNPLUGGED_CHANGE]
     return [Change(CLOSED, 1)] if event.status in KILLED else []
 
@@ -176,16 +173,12 @@ def _kinds(place: Place) -> dict[int, str]:
     def key(kind: int, endpoint: int, data_flag: int) -> int:
         return what_key(kind, endpoint, place.device, place.bus, data_flag)
 
-    kinds = {}
-    for number in (place.bulk_in,) if place.bulk_in else range(1, 16):
-        kinds[key(DONE, number | INPUT, 0)] = IN
-    for number in (place.bulk_out,) if place.bulk_in else range(1, 16):
-        kinds[key(SUBMITTED, number, 0)] = OUT
-        kinds[key(DONE, number, ord('>'))] = _SENT
-    return kinds
+    return {key(DONE, place.bulk_in | INPUT, 0): IN,
+            key(SUBMITTED, place.bulk_out, 0): OUT,
+            key(DONE, place.bulk_out, ord('>')): _SENT}
 
 
-def _remember(transfers: dict[_Key, _Kept], number: _Key, kept: _Kept) -> None:
+def _remember(transfers: dict[Any, Any], number: object, kept: object) -> None:
     """Keep something by the number of its transfer, and not more than can be under way."""
     transfers[number] = kept
     if len(transfers) > PENDING_TRANSFERS_MAX:

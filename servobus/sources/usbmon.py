@@ -18,7 +18,7 @@ from typing import NamedTuple
 ISO, INTERRUPT, CONTROL, BULK = range(4)
 INPUT = 0x80                       # bit of an endpoint address: towards the host
 KILLED = (-2, -104)                # the port was closed
-UNPLUGGED = (-108, -71)            # the device is gone; a protocol error comes just before
+UNPLUGGED = -108                   # the device is gone
 SUBMITTED, DONE, FAILED = b'SCE'
 KINDS = frozenset(b'SCE')
 _SETUP_FLAGS = frozenset(b'\0-Z')
@@ -117,7 +117,7 @@ def decode_usbpcap(packet: bytes, stamp: int) -> UsbEvent | None:
 
 def _errno(status: int) -> int:
     """Return a status of Windows as one of Linux."""
-    known = {0: 0, _GONE: UNPLUGGED[0], _CANCELED: KILLED[0]}
+    known = {0: 0, _GONE: UNPLUGGED, _CANCELED: KILLED[0]}
     return known.get(status, -5 if status >> 30 == 3 else 0)
 
 

@@ -31,9 +31,6 @@ from servobus.errors import UsageError
 from servobus.plain import printable
 from servobus.port.pty import Pty
 from servobus.port.readable import is_writable
-from servobus.sources.capture import is_capture
-from servobus.sources.capture import lines
-from servobus.sources.capture import Reader
 from servobus.sources.capture import Wire
 from servobus.sources.opening import open_file
 from servobus.sources.source import File
@@ -46,7 +43,6 @@ from servobus.tools.command_line import Parser
 from servobus.tools.run import BAUD
 from servobus.tools.run import refuse_run_word
 
-SPEED_MIN = 1e-6                   # times the original speed
 SETTLE_S = 0.5                     # a reader has opened the port, and sets it up
 LAST_QUESTION_S = 1.5              # at the end: until the last instruction is given up
 LOOP_PAUSE_S = 0.1
@@ -104,9 +100,6 @@ def _run(arguments: list[str]) -> int:
     parser = _parser()
     refuse_run_word(parser, 'capture', arguments)
     options = parser.parse_args(arguments)
-    if 0 < options.speed < SPEED_MIN:
-        raise UsageError(f'--speed {options.speed:g}: not possible; give 1 for the original '
-                         'timing, 0 for the speed of the reader')
     wires = _wires(options)
     with ExitStack() as stack:
         outlets = {name: stack.enter_context(Pty(_link(options.link, name, len(wires))))
@@ -153,26 +146,13 @@ def _chunks(file: File, side: str | None) -> Iterator[Chunk]:
 
 def _wires(options: argparse.Namespace) -> dict[str, Wire]:
     """Return the buses to play, by name; looks through the whole capture for them."""
-    mode = os.stat(options.capture).st_mode
-    if stat.S_ISDIR(mode):
-        raise UsageError(f'{options.capture}: a directory; give a capture')
-    if not stat.S_ISREG(mode):
+    if not stat.S_ISREG(os.stat(options.capture).st_mode):
         raise UsageError(f'{options.capture}: not a file, and a capture is read more than once; '
                          'give a file')
     with _open(options) as source:
-        chunks = _chunks(source, options.side)
-        is_empty = next(chunks, None) is None
-        wires = source.wires
-        if is_capture(options.capture):        # its headers are enough
-            with open(options.capture, 'rb') as file:
-                reader = Reader(line for line in lines(file) if line.startswith(b'#'))
-                list(reader)
-            wires = {name: wire if options.baud is None else wire._replace(baud=options.baud)
-                     for name, wire in reader.wires.items()}
-        else:
-            for _ in chunks:                   # in a pcap file a bus comes with its packets
-                pass
-    if is_empty:
+        count = sum(1 for _ in _chunks(source, options.side))
+        wires = {name: source.wire(name) for name in source.wires}
+    if not count:
         what = 'no bytes' if options.side is None else f'no bytes of --side {options.side}'
         raise UsageError(f'{options.capture}: it holds {what}; give another capture')
     if options.bus is not None:
