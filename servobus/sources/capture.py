@@ -22,7 +22,6 @@ from datetime import timedelta
 from datetime import timezone
 import errno
 import os
-from pathlib import Path
 import stat
 from typing import BinaryIO
 from typing import NamedTuple
@@ -51,6 +50,7 @@ LATENCY_MAX_MS = 10_000
 BUSES_MAX = 256
 VALUE_MAX_DIGITS = 18               # in the value of a change
 LINE_MAX_BYTES = 1 << 20            # bytes: many times the longest line that is ever written
+BEGIN_SIZE = 8192                   # bytes that show what a file is
 BAD_TEXT_MAX_LENGTH = 60            # characters of a bad line in a message
 
 
@@ -257,43 +257,48 @@ def _wall(text: str) -> int:
     return since // timedelta(microseconds=1) * 1000
 
 
-def check_new(path: str | Path, is_ours: Callable[[str | Path], bool] | None = None) -> None:
+def is_capture(begin: bytes) -> bool:
+    """Tell whether a file that begins so is a capture."""
+    return begin.startswith(MAGIC)
+
+
+def check_new(path: str, is_ours: Callable[[bytes], bool] = is_capture, what: str = 'capture',
+              name: str = 'capture') -> None:
     """
     Raise ParameterError for what must not be written to.
 
-    That is a port, above all, and any file that is not a recording; is_ours: knows one.
+    That is a port, above all, and any other file than ours: `what`, which `is_ours` knows by its
+    begin. name: of the parameter or option that has the path.
     """
     try:
-        status = os.stat(path)
-        is_file = stat.S_ISREG(status.st_mode) and status.st_size > 0
-        if is_file and not (is_ours or is_capture)(path):
-            raise _refusal(path, 'exists, is not a recording of dxl_dump, and is kept' if is_ours
-                           else 'exists, is not a capture, and is kept')
-        if stat.S_ISDIR(status.st_mode):
-            raise _refusal(path, 'is a directory')
-        if stat.S_ISCHR(status.st_mode) and _is_port(path):
-            raise _refusal(path, 'is a port, and this tool never sends')
+        mode = os.stat(path).st_mode
+        if stat.S_ISDIR(mode):
+            raise OSError('is a directory')
+        if stat.S_ISCHR(mode) and _is_port(path):
+            raise OSError('is a port, and this tool never sends')
+        if stat.S_ISREG(mode):
+            with open(path, 'rb') as file:
+                begin = file.read(BEGIN_SIZE)
+            if begin and not is_ours(begin):
+                raise OSError(f'exists, is not a {what}, and is kept')
     except FileNotFoundError:
         pass
     except OSError as error:
-        raise _refusal(path, error.strerror or str(error)) from error
+        raise _refusal(name, path, error) from error
 
 
-def open_new(path: str | Path, waits: bool = True,
-             is_ours: Callable[[str | Path], bool] | None = None) -> BinaryIO:
+def open_new(path: str, waits: bool = True) -> BinaryIO:
     """
     Open a file to write a recording to; an older one of that name is lost.
 
-    waits: for somebody to read, where it is a pipe; else that is a ParameterError. is_ours: as
-    in check_new.
+    waits: for somebody to read, where it is a pipe; else that is a ParameterError.
     """
-    check_new(path, is_ours)
     try:
         return open(path, 'wb', opener=None if waits else _without_waiting)
     except OSError as error:
         if error.errno == errno.ENXIO:
-            raise _refusal(path, 'is a pipe that no program reads') from error
-        raise _refusal(path, error.strerror or str(error)) from error
+            error = OSError('is a pipe that no program reads')
+        raise _refusal('capture', path, error) from error
 
 
 def _without_waiting(path: str, flags: int) -> int:
@@ -302,13 +307,7 @@ def _without_waiting(path: str, flags: int) -> int:
     return descriptor
 
 
-def is_capture(path: str | Path) -> bool:
-    """Tell whether a file begins as a capture does."""
-    with open(path, 'rb') as file:
-        return file.read(len(MAGIC)) == MAGIC
-
-
-def _is_port(path: str | Path) -> bool:
+def _is_port(path: str) -> bool:
     descriptor = os.open(path, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
     try:
         return os.isatty(descriptor)
@@ -316,5 +315,5 @@ def _is_port(path: str | Path) -> bool:
         os.close(descriptor)
 
 
-def _refusal(path: str | Path, reason: str) -> ParameterError:
-    return ParameterError(f'capture: {path}: {reason}; give another file name')
+def _refusal(name: str, path: str, error: OSError) -> ParameterError:
+    return ParameterError(f'{name}: {path}: {error.strerror or error}; give another file name')

@@ -33,6 +33,7 @@ from msg_defs.event import Chunk
 from servobus.doctor.finding_log import BusSummary
 from servobus.errors import UsageError
 from servobus.plain import printable
+from servobus.sources.capture import check_new
 from servobus.sources.capture import lines
 from servobus.sources.capture import Reader
 from servobus.sources.capture import Wire
@@ -73,20 +74,13 @@ class Maker(NamedTuple):
 
 
 def check_report(path: str | None) -> None:
-    """Raise UsageError for a file that must not be written over."""
+    """Raise UsageError or ParameterError for what must not be written over."""
     if path is None:
         return
     folder = os.path.dirname(path) or '.'
     if not os.access(folder, os.W_OK):
         raise UsageError(f'--report {path}: cannot write to {folder}; give another name')
-    if not os.path.exists(path):
-        return
-    if not os.path.isfile(path):
-        raise UsageError(f'--report {path}: is not a file; give another name')
-    with open(path, 'rb') as file:
-        head = file.read(len(REPORT))
-    if head and head != REPORT.encode():
-        raise UsageError(f'--report {path}: exists and is not a report; give another name')
+    check_new(path, lambda begin: begin.startswith(REPORT.encode()), 'report', '--report')
 
 
 def anonymous(buses: Sequence[BusSummary]) -> list[BusSummary]:

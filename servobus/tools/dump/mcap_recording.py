@@ -134,6 +134,6 @@ class McapRecording:
         self._folder.cleanup()
 
 
-def is_mcap(path: str | Path) -> bool:
-    with open(path, 'rb') as file:
-        return file.read(len(_MAGIC)) == _MAGIC
+def is_mcap(begin: bytes) -> bool:
+    """Tell whether a file that begins so is an MCAP file."""
+    return begin.startswith(_MAGIC)
