@@ -184,8 +184,6 @@ def test_what_was_seen_is_let_go_and_what_found_no_room_is_counted(monkeypatch):
                 raise BlockingIOError
             (ctypes.c_uint32 * len(found)).from_address(argument.offsets)[:] = found
             del places[:argument.count]
-        elif request == usb_ring._FLUSH:
-            gone.append(argument)
         elif request == usb_ring._STATISTICS:
             argument[4:] = dropped.pop(0).to_bytes(4, 'little')
 

@@ -40,6 +40,7 @@ from servobus.sources.pcap import RESOLUTION
 from servobus.sources.pcap import SECTION
 from servobus.sources.pcap import SECTION_MAGIC
 from servobus.sources.pcap import SPEED
+from servobus.sources.source import Chunks
 from servobus.sources.source import File
 from servobus.sources.source_name import DEFAULT_BAUD
 
@@ -105,7 +106,7 @@ class PacketFile(File):
     def _begin(self) -> None:
         self._packets = PcapReader(self._file)
 
-    def chunks(self) -> Iterator[Chunk | None]:
+    def chunks(self) -> Chunks:
         """Yield each packet as a chunk; its stamp is of the last byte, or for OUT of the first."""
         for packet in self._packets:
             if packet.link == LINK_USER0:

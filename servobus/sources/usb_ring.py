@@ -26,7 +26,6 @@ RING_SIZE = 1200 * 1024            # the most that the kernel gives
 FETCH_MAX_EVENTS = 4096            # events that are looked at in one go
 _RING_SIZE_SET, _RING_SIZE_GET = 0x9204, 0x9205
 _STATISTICS = 0x80089203
-_FLUSH = 0x9208
 _LOOK = struct.Struct('=8xBBBB16xi4xI')        # kind, transfer, endpoint, device, status, kept
 
 
@@ -83,16 +82,15 @@ class Ring:
     def read(self) -> bytes:
         """Return the events that concern the adapter, one after the other; do not wait."""
         found = []
-        count = self._fetch()
-        while count:
+        while count := self._fetch():
             for offset in self._offsets[:count]:
                 kept = kept_of(self._map, offset, self._device, self._endpoints, self._idle)
                 if kept >= 0:
                     found.append(self._map[offset:offset + HEADER_SIZE + kept])
             self._seen = count
-            count = self._fetch() if count == FETCH_MAX_EVENTS else 0
-        self._release()
-        self._count_dropped()
+        counts = bytearray(8)
+        fcntl.ioctl(self._fd, _STATISTICS, counts)
+        self.dropped += int.from_bytes(counts[4:], 'little')
         return b''.join(found)
 
     def _fetch(self) -> int:
@@ -104,13 +102,3 @@ class Ring:
         except BlockingIOError:
             return 0
         return int(ask.count)
-
-    def _release(self) -> None:
-        if self._seen:
-            fcntl.ioctl(self._fd, _FLUSH, self._seen)
-            self._seen = 0
-
-    def _count_dropped(self) -> None:
-        counts = bytearray(8)
-        fcntl.ioctl(self._fd, _STATISTICS, counts)
-        self.dropped += int.from_bytes(counts[4:], 'little')
