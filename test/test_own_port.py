@@ -257,7 +257,7 @@ def test_adapter_that_is_unplugged_is_looked_for(meeting_place):
             for openings in (1, 2):
                 stream, _ = server.accept()
                 stream.sendall(told)
-                wait(lambda n=openings: collector.listener.counters.openings == n
+                wait(lambda n=openings: collector.listener.openings == n
                          and collector.listener.state.kind == 'lost')
                 assert 'the adapter was unplugged' in collector.listener.state.text
                 stream.close()

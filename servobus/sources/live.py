@@ -71,7 +71,7 @@ class LivePort(Source):
             return None
 
     def problems(self) -> list[str]:
-        errors = self._listener.counters.line_errors
+        errors = self._listener.line_errors
         lost = errors.buf_overrun + errors.overrun if errors is not None else 0
         return [text for count, text in (
             (self._lost, f'{self._lost} bytes are not shown: the output was too slow'),
