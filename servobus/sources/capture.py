@@ -34,6 +34,7 @@ from msg_defs.event import Chunk
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
+from msg_defs.units import NS_PER_S
 from servobus.errors import ParameterError
 from servobus.plain import printable
 
@@ -43,7 +44,6 @@ VERSIONS = (b'1', b'2')
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _WALL = '%Y-%m-%dT%H:%M:%S.%fZ'
 _UNQUOTED = '/:._-+@'               # stay as they are in a bus name, as letters and digits do
-_SECOND = 1_000_000_000
 STAMP_END = 1 << 63                 # ns: 292 years; longer than any time since a boot
 BAUD_MAX = 100_000_000
 LATENCY_MAX_MS = 10_000
@@ -76,7 +76,7 @@ class Moment(NamedTuple):
 
 def seconds(stamp: int) -> str:
     """Spell ns as seconds with all nine decimals: exact, and of one width."""
-    return f'{stamp // _SECOND}.{stamp % _SECOND:09}'
+    return f'{stamp // NS_PER_S}.{stamp % NS_PER_S:09}'
 
 
 def chunk_line(chunk: Chunk) -> bytes:
@@ -196,7 +196,7 @@ class Reader:
                 self.began = now
             if now.stamp + self._shift < self._last:
                 since = now.wall - self.began.wall + self.began.stamp
-                if since < self._last - _SECOND:       # the wall-clock was set back
+                if since < self._last - NS_PER_S:       # the wall-clock was set back
                     since = self._last
                 self._shift = _bounded(since) - now.stamp
         elif line.startswith(f'# {ENDED}'.encode()):
@@ -243,7 +243,7 @@ def _stamp(text: bytes) -> int:
     whole, fraction = text.split(b'.')
     if not (whole.isdigit() and fraction.isdigit()):       # int takes -1, and 1_0
         raise ValueError(text)
-    return _bounded(int(whole) * _SECOND + int(fraction.ljust(9, b'0')[:9]))
+    return _bounded(int(whole) * NS_PER_S + int(fraction.ljust(9, b'0')[:9]))
 
 
 def _bounded(stamp: int) -> int:
