@@ -21,7 +21,6 @@ import stat
 import sys
 import threading
 import time
-from typing import NamedTuple
 from urllib.parse import quote
 
 from msg_defs.event import Chunk
@@ -50,12 +49,6 @@ POLL_S = 0.05
 RAW_CHUNK_BYTES = 200              # bytes of a raw file that are sent at once
 
 
-class Played(NamedTuple):
-    chunks: int
-    bytes: int
-    late_s: float                  # at most
-
-
 def _wait_for_readers(outlets: Iterable[Pty]) -> None:
     """Wait until somebody listens to every bus."""
     for outlet in outlets:
@@ -64,9 +57,15 @@ def _wait_for_readers(outlets: Iterable[Pty]) -> None:
     time.sleep(SETTLE_S)
 
 
-def _play(chunks: Iterable[Chunk], outlets: Mapping[str, Pty], speed: float) -> Played:
-    """Play to the ptys of the buses; speed 0: as fast as the readers take it."""
-    played = Played(0, 0, 0.0)
+def _play(chunks: Iterable[Chunk], outlets: Mapping[str, Pty], speed: float
+          ) -> tuple[int, int, float]:
+    """
+    Play to the ptys of the buses; speed 0: as fast as the readers take it.
+
+    Return how many chunks and bytes that were, and how late at most (s).
+    """
+    count = size = 0
+    late_s = 0.0
     begin: int | None = None
     for chunk in chunks:
         if begin is None:
@@ -78,9 +77,10 @@ def _play(chunks: Iterable[Chunk], outlets: Mapping[str, Pty], speed: float) -> 
         if speed:
             time.sleep(min(max(0.0, due_s - time.monotonic()), threading.TIMEOUT_MAX))
         _write(outlet, chunk.data)
-        played = Played(played.chunks + 1, played.bytes + len(chunk.data),
-                        max(played.late_s, time.monotonic() - due_s))
-    return played
+        count += 1
+        size += len(chunk.data)
+        late_s = max(late_s, time.monotonic() - due_s)
+    return count, size, late_s
 
 
 def _write(outlet: Pty, data: bytes) -> None:
@@ -120,9 +120,9 @@ def _play_file(options: argparse.Namespace, wires: dict[str, Wire],
     print('playing', flush=True)
     while True:
         with _open(options) as file:
-            played = _play(_chunks(file, options.side), outlets, options.speed)
-        print(f'played {played.chunks} chunks, {played.bytes} bytes, '
-              f'at most {1e3 * played.late_s:.1f} ms late', flush=True)
+            count, size, late_s = _play(_chunks(file, options.side), outlets, options.speed)
+        print(f'played {count} chunks, {size} bytes, at most {1e3 * late_s:.1f} ms late',
+              flush=True)
         print_problems('dxl_replay', file.problems())
         if not options.loop:
             break
