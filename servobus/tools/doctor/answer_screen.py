@@ -28,21 +28,20 @@ from servobus.tools.dump.screen import COLOURS
 WIDTH, HEIGHT = 80, 23             # the shell takes one of the 24 lines
 WIDTH_MIN = 40
 FULL_FINDINGS_MAX = 3              # findings
+_MESSAGE_LINES, _MEANING_LINES = 2, 3
 _EVIDENCE_LINES = 3                # where there are more lines than HEIGHT; else one
 _UNKNOWN_LINES = 3
 _CYCLES = 2
 _INDENT = '    '
 
 
-class _Layout(NamedTuple):
-    """How many findings are in full, and how many lines each text of them has; None: all."""
+class _Format(NamedTuple):
+    """findings: how many are in full, None: all, and no text is cut; evidence: lines of it."""
 
     width: int
     colours: bool
     findings: int | None = None
-    message: int | None = None
-    evidence: int | None = None
-    meaning: int | None = None
+    evidence: int = 0
 
     def paint(self, text: str, colour: str | None) -> str:
         return paint(text, colour if self.colours else None)
@@ -52,19 +51,19 @@ def screen(verdict: Verdict, colours: bool = False, width: int = WIDTH,
            height: int | None = HEIGHT) -> list[str]:
     """Return the lines, none longer than width columns (40 to WIDTH_MAX); height None: all."""
     width = min(max(WIDTH_MIN, width), WIDTH_MAX)
-    layout = _Layout(width, colours)
-    head = [layout.paint(_head(verdict, width), BOLD)]
+    form = _Format(width, colours)
+    head = [form.paint(_head(verdict, width), BOLD)]
     if verdict.quiet:
         return [*head, '', 'Nothing was heard:', *_items(verdict.quiet, width, '- ', '  ')]
     if height is None:
         return [*head, '', *_heard(verdict, width), *_items(verdict.cycles, width), '',
-                *_found(verdict, layout), *_unknown(verdict.unknown, width)]
+                *_found(verdict, form), *_unknown(verdict.unknown, width)]
     cycles = [fit(f'  {one}', width) for one in verdict.cycles[:_CYCLES]]
     evidence = _EVIDENCE_LINES if height > HEIGHT else 1
     for is_joined, most in ((False, FULL_FINDINGS_MAX),
                             *((True, most) for most in range(FULL_FINDINGS_MAX, 0, -1))):
         heard = _heard(verdict, width, is_joined)
-        wrong = _found(verdict, _Layout(width, colours, most, 2, evidence, 3))
+        wrong = _found(verdict, _Format(width, colours, most, evidence))
         room = height - len(head) - len(heard) - len(cycles) - len(wrong) - 2
         if room >= 0:
             break
@@ -92,35 +91,35 @@ def _heard(verdict: Verdict, width: int, is_joined: bool = False) -> list[str]:
     return [fit(heard, width), *_items(texts, width)]
 
 
-def _found(verdict: Verdict, layout: _Layout) -> list[str]:
+def _found(verdict: Verdict, form: _Format) -> list[str]:
     """Return the lines of what is wrong or may be; advice comes last."""
-    well = [layout.paint('Nothing wrong that listening can find', GREEN)]
-    not_sure, wrong = _not_sure(verdict.not_sure, layout), _wrong(verdict.wrong, layout)
+    well = [form.paint('Nothing wrong that listening can find', GREEN)]
+    not_sure, wrong = _not_sure(verdict.not_sure, form), _wrong(verdict.wrong, form)
     if wrong and verdict.wrong[0].level is not Level.OK:
         return [*wrong, *not_sure]
     return [*(not_sure or well), *wrong]
 
 
-def _not_sure(points: Sequence[OpenPoint], layout: _Layout) -> list[str]:
-    shown = points[:layout.findings]
+def _not_sure(points: Sequence[OpenPoint], form: _Format) -> list[str]:
+    shown = points[:form.findings]
     lines = ['Not sure:'] if points else []
     for one in shown:
-        lines += [*_heading(f'{one.who}{_cause(one.rule)}', Level.WARN, layout),
-                  *_wrapped(one.message, layout, layout.message),
-                  *_wrapped(f'Try: {one.step}', layout)]       # the next step is never cut
+        lines += [*_heading(f'{one.who}{_cause(one.rule)}', Level.WARN, form),
+                  *_wrapped(one.message, form, _MESSAGE_LINES),
+                  *_wrapped(f'Try: {one.step}', form)]       # the next step is never cut
     return lines + _more(len(points) - len(shown))
 
 
-def _wrong(entries: Sequence[Trouble], layout: _Layout) -> list[str]:
+def _wrong(entries: Sequence[Trouble], form: _Format) -> list[str]:
     if not entries:
         return []
     lines = ['Advice:' if entries[0].level is Level.OK else 'Wrong:']
-    in_full = entries[:layout.findings]
+    in_full = entries[:form.findings]
     for number, entry in enumerate(in_full, 1):
-        lines += _in_full(number, entry, layout)
+        lines += _in_full(number, entry, form)
     rest = entries[len(in_full):]
     shown = rest if len(rest) <= FULL_FINDINGS_MAX else rest[:FULL_FINDINGS_MAX - 1]
-    lines += [fit(f'  {_title(number, entry)}: {entry.message}', layout.width)
+    lines += [fit(f'  {_title(number, entry)}: {entry.message}', form.width)
               for number, entry in enumerate(shown, len(in_full) + 1)]
     return lines + _more(len(rest) - len(shown))
 
@@ -129,19 +128,19 @@ def _more(count: int) -> list[str]:
     return [f'  and {count} more: --full lists all'] if count else []
 
 
-def _in_full(number: int, entry: Trouble, layout: _Layout) -> list[str]:
-    lines = [*_heading(_title(number, entry), entry.level, layout),
-             *_wrapped(entry.message, layout, layout.message)]
+def _in_full(number: int, entry: Trouble, form: _Format) -> list[str]:
+    lines = [*_heading(_title(number, entry), entry.level, form),
+             *_wrapped(entry.message, form, _MESSAGE_LINES)]
     if entry.evidence and entry.rule:
-        lines += _wrapped(f'Evidence: {entry.evidence}', layout, layout.evidence)
+        lines += _wrapped(f'Evidence: {entry.evidence}', form, form.evidence)
     elif entry.evidence:               # the error of a program
-        lines += _wrapped(f'This means: {entry.evidence}', layout, layout.meaning)
+        lines += _wrapped(f'This means: {entry.evidence}', form, _MEANING_LINES)
     return lines
 
 
-def _heading(title: str, level: Level, layout: _Layout) -> list[str]:
-    lines = [fit(f'  {title}', layout.width)] if layout.findings else _items([title], layout.width)
-    return [layout.paint(line, COLOURS.get(level)) for line in lines]
+def _heading(title: str, level: Level, form: _Format) -> list[str]:
+    lines = [fit(f'  {title}', form.width)] if form.findings else _items([title], form.width)
+    return [form.paint(line, COLOURS.get(level)) for line in lines]
 
 
 def _title(number: int, entry: Trouble) -> str:
@@ -169,10 +168,10 @@ def _items(texts: Sequence[str], width: int, first: str = '  ', others: str = _I
         text, width, initial_indent=first, subsequent_indent=others)]
 
 
-def _wrapped(text: str, layout: _Layout, most: int | None = None) -> list[str]:
-    """Break a text into at most so many lines; None: as many as it needs."""
-    width = layout.width - len(_INDENT)
+def _wrapped(text: str, form: _Format, most: int = 0) -> list[str]:
+    """Break a text into at most so many lines, where texts are cut; 0: as many as it needs."""
+    width = form.width - len(_INDENT)
     lines = textwrap.wrap(text, width)
-    if most is not None and len(lines) > most:
+    if form.findings and most and len(lines) > most:
         lines = [*lines[:most - 1], fit(' '.join(lines[most - 1:]), width)]
     return [_INDENT + line for line in lines]
