@@ -213,16 +213,12 @@ def _wrong(bus: BusSummary) -> list[Trouble]:
     return found
 
 
-def _named(bus: BusSummary) -> set[int | None]:
-    findings = [*bus.report.findings, *(one.finding for one in bus.logged)]
-    return {one.device for one in findings}.union(*(one.covers for one in findings))
-
-
 def _unnamed(bus: BusSummary) -> list[DeviceReport]:
     """Return the devices that are not well, and no finding says why."""
     if any(one.finding.level is Level.ERROR or _explains_loss(one.finding) for one in bus.logged):
         return []                      # that of other devices follows from it, as a rule
-    named = _named(bus)
+    findings = [*bus.report.findings, *(one.finding for one in bus.logged)]
+    named = {one.device for one in findings}.union(*(one.covers for one in findings))
     return [one for one in bus.report.devices if one.level in _CODES and one.id not in named]
 
 

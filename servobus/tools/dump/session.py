@@ -27,7 +27,6 @@ from servobus.settings import settings_of
 from servobus.sources.opening import open_source
 from servobus.sources.silence import reasons
 from servobus.tools.cli import print_problems
-from servobus.tools.dump.decode import identity_of
 from servobus.tools.dump.decode import parts_of
 from servobus.tools.dump.filter import is_wanted
 from servobus.tools.dump.json import json_line
@@ -136,12 +135,11 @@ class Session:
         began = self._source.began
         stamp = entry.stamp - began.stamp + began.wall
         parts = parts_of(entry, listing)
-        identity = identity_of(entry)
         if not self._options.json:
             self._fit_lines()
-            line = self._lines.line(bus, stamp, entry, parts, identity)
+            line = self._lines.line(bus, stamp, entry, parts)
         elif entry.packet is not None:
-            line = json_line(bus, stamp // 1000, entry.packet, entry, parts, identity)
+            line = json_line(bus, stamp // 1000, entry.packet, entry, parts)
         self._shown += entry.packet is not None
         sys.stdout.write(line + '\n')
 
