@@ -123,7 +123,7 @@ class UsbPort:
 
     def _transfer(self, side: str, number: int, data: bytes, size: int, status: int, stamp: int
                   ) -> list[Chunk]:
-        """Return what a bulk transfer says, of whose bytes `data` were kept."""
+        """Return what a bulk transfer of so many bytes says; data: those that were kept."""
         changes: Changes = []
         if side is _SENT:
             missing, data = self._sizes.pop(number, size) - size, b''
