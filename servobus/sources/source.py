@@ -89,6 +89,11 @@ class File(Source):
     def _bus(self) -> str:
         return 'stdin' if self._name == '-' else os.path.basename(self._name).partition('.')[0]
 
+    def learn_buses(self, chunks: Iterator[Chunk]) -> None:
+        """Read on to the end, for what is known of all buses; chunks: those that are left."""
+        for _ in chunks:
+            pass
+
     def position(self) -> int:
         return self._file.tell() if self.total else 0
 
@@ -108,6 +113,12 @@ class CaptureFile(File):
             self.began = self._reader.began
             yield chunk
         self.ended = self._reader.ended
+
+    def learn_buses(self, chunks: Iterator[Chunk]) -> None:
+        """Read the headers alone: the lines of chunks take 15 times as long."""
+        headers = Reader(line for line in lines(self._file) if line.startswith(b'#'))
+        list(headers)
+        self.wires.update(headers.wires)
 
     def wire(self, bus: str) -> Wire:
         wire = super().wire(bus)

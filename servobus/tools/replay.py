@@ -150,9 +150,11 @@ def _wires(options: argparse.Namespace) -> dict[str, Wire]:
         raise UsageError(f'{options.capture}: not a file, and a capture is read more than once; '
                          'give a file')
     with _open(options) as source:
-        count = sum(1 for _ in _chunks(source, options.side))
+        chunks = _chunks(source, options.side)
+        is_empty = next(chunks, None) is None
+        source.learn_buses(chunks)
         wires = {name: source.wire(name) for name in source.wires}
-    if not count:
+    if is_empty:
         what = 'no bytes' if options.side is None else f'no bytes of --side {options.side}'
         raise UsageError(f'{options.capture}: it holds {what}; give another capture')
     if options.bus is not None:
