@@ -18,11 +18,9 @@ from mecarover_serial.parameters import Parameter
 from mecarover_serial.parameters import split_ros_args
 from servobus.errors import UsageError
 from servobus.tools.cli import complain
-from servobus.tools.cli import COULD_NOT_RUN
 from servobus.tools.cli import open_streams
 from servobus.tools.cli import run_tool
 from servobus.tools.cli import wrapped
-from servobus.tools.cli import WRONG_USAGE
 from servobus.tools.command import take_over
 from servobus.tools.version import version_of
 from servobus.worker import MORE_TASKS
@@ -55,7 +53,7 @@ def answer(name: str, about: str, parameters: Sequence[Parameter],
     if outside:
         return complain(name, UsageError(
             f'{outside[0]}: has no effect outside --ros-args; write e.g. --ros-args '
-            f'{_meant(outside, parameters)}, or see --help'), WRONG_USAGE)
+            f'{_meant(outside, parameters)}, or see --help'))
     return few_files(name)
 
 
@@ -93,7 +91,7 @@ def options_of_node(parser: argparse.ArgumentParser, args: Sequence[str] | None
     try:
         options = parser.parse_args(split_ros_args(arguments)[1])
     except UsageError as error:
-        sys.exit(complain(parser.prog, error, WRONG_USAGE))
+        sys.exit(complain(parser.prog, error))
     if code := few_files(parser.prog):
         sys.exit(code)
     return options, [parser.prog, *arguments]
@@ -111,18 +109,18 @@ def few_files(name: str) -> int | None:
         if files < FILES_LEAST:
             return complain(name, OSError(
                 f'only {files} files may be open; raise the limit to {FILES_LEAST} or more '
-                '(ulimit -n, LimitNOFILE=)'), COULD_NOT_RUN)
+                '(ulimit -n, LimitNOFILE=)'))
     return None
 
 
 def no_process(name: str, error: OSError) -> int:
     """Say that a process that is needed cannot be started; return the exit code."""
     return complain(name, OSError(
-        f'cannot start a process: {error.strerror}; {MORE_TASKS}'), COULD_NOT_RUN)
+        f'cannot start a process: {error.strerror}; {MORE_TASKS}'))
 
 
 def no_ros(name: str, error: ImportError) -> int:
     """Say that ROS 2 is not there; return the exit code."""
-    print(f'{name}: ROS 2 is not sourced ({error}); source /opt/ros/jazzy/setup.bash, or run '
-          'scripts/setup and use .venv/bin', file=sys.stderr)
-    return COULD_NOT_RUN
+    return complain(name, OSError(
+        f'ROS 2 is not sourced ({error}); source /opt/ros/jazzy/setup.bash, or run scripts/setup '
+        'and use .venv/bin'))

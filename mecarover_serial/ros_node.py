@@ -60,9 +60,7 @@ from servobus.errors import UsageError
 from servobus.plain import printable
 from servobus.port.port_error import PortError
 from servobus.tools.cli import complain
-from servobus.tools.cli import COULD_NOT_RUN
 from servobus.tools.cli import DONE
-from servobus.tools.cli import WRONG_USAGE
 from servobus.worker import MORE_TASKS
 
 _OVERRIDES = 'qos_overrides.'
@@ -95,59 +93,50 @@ class Stoppable(Protocol):
 
 def run(name: str, start: Callable[[], Stoppable], args: Sequence[str] | None = None) -> int:
     """Run a node until a signal ends it; return the exit code (0 signal, 1 failed, 2 usage)."""
-    clock = _SystemClock()
+    ahead_s = time.time() - time.monotonic()
     with _Signals() as signals:
         try:
             with StandardStreams(name):
-                code = _run(name, start, args, signals, clock)
+                code = _run(name, start, args, signals, ahead_s)
         except RuntimeError as error:
             if not _NO_THREAD.search(str(error)):
                 raise
-            code = complain(name, OSError(f'{first_line(error)}; {MORE_TASKS}'), COULD_NOT_RUN)
-        if clock.went_back:
+            code = complain(name, OSError(f'{first_line(error)}; {MORE_TASKS}'))
+        if _is_set_back(ahead_s):
             os._exit(code)
         return code
 
 
-class _SystemClock:
+def _is_set_back(ahead_s: float) -> bool:
     """
-    Knows whether the system clock was set back since the start.
+    Tell whether the system clock was set back since it was so far ahead of the monotonic one.
 
     Fast DDS then crashes, every other time, when it takes down what was there before. By that
     time everything of ours is stopped and closed: the process is left without taking it down.
     """
-
-    def __init__(self) -> None:
-        self._ahead_s = time.time() - time.monotonic()
-
-    @property
-    def went_back(self) -> bool:
-        return time.time() - time.monotonic() < self._ahead_s - STEP_S
+    return time.time() - time.monotonic() < ahead_s - STEP_S
 
 
 def _run(name: str, start: Callable[[], Stoppable], args: Sequence[str] | None,
-         signals: _Signals, clock: _SystemClock) -> int:
+         signals: _Signals, ahead_s: float) -> int:
     spare_shared_memory(name)
     if problem := wrong_domain(os.environ.get('ROS_DOMAIN_ID', '')):
-        return complain(name, UsageError(problem), WRONG_USAGE)
+        return complain(name, UsageError(problem))
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:      # RCLError is private; its cause is what the user typed
-        return complain(name, UsageError(f'{first_line(error)}; {_remedy()}'), WRONG_USAGE)
+        return complain(name, UsageError(f'{first_line(error)}; {_remedy()}'))
     try:
-        _spin(_created(start), signals, clock)
+        _spin(_created(start), signals, ahead_s)
         return DONE
-    except ParameterError as error:
-        return complain(name, error, WRONG_USAGE)
+    except (ParameterError, PortError) as error:
+        return complain(name, error)
     except ParameterException as error:         # rclpy's own parameters: use_sim_time, QoS
-        return complain(
-            name, UsageError(f'{first_line(error)}; see ros2 param --help'), WRONG_USAGE)
-    except PortError as error:
-        return complain(name, error, COULD_NOT_RUN)
+        return complain(name, UsageError(f'{first_line(error)}; see ros2 param --help'))
     except OSError as error:
-        return complain(name, OSError(f'{error}; correct that and restart it'), COULD_NOT_RUN)
+        return complain(name, OSError(f'{error}; correct that and restart it'))
     finally:
-        if not clock.went_back:
+        if not _is_set_back(ahead_s):
             rclpy.try_shutdown()
 
 
@@ -169,7 +158,7 @@ def _remedy() -> str:
             'from apt (the wheels of PyPI have no security)')
 
 
-def _spin(app: Stoppable, signals: _Signals, clock: _SystemClock) -> None:
+def _spin(app: Stoppable, signals: _Signals, ahead_s: float) -> None:
     """Spin until a signal has come; then the machine is stopped before anything else ends."""
     executor = SingleThreadedExecutor()
     ended = threading.Event()
@@ -181,23 +170,23 @@ def _spin(app: Stoppable, signals: _Signals, clock: _SystemClock) -> None:
         if systemd.watchdog_s is not None:
             app.node.create_timer(systemd.watchdog_s / 3, partial(_feed, systemd, app),
                                   clock=Clock(clock_type=ClockType.STEADY_TIME))
-        systemd.ready()
+        systemd.notify('READY=1')
         gc.freeze()             # imports and set-up stay: no garbage is to be looked for there
         # Not spin_until_future_complete: it keeps a callback for each message that ever came.
         while not ended.is_set() and rclpy.ok():
             errors.spin_once(executor)
     finally:
-        systemd.stopping()
+        systemd.notify('STOPPING=1')
         app.stop()
         executor.shutdown(timeout_sec=1.0)
-        if not clock.went_back:
+        if not _is_set_back(ahead_s):
             app.node.destroy_node()
 
 
 def _feed(systemd: Systemd, app: Stoppable) -> None:
     """Feed the watchdog: this thread runs, as it does this, and so do those of the app."""
     if app.is_working():
-        systemd.alive()
+        systemd.notify('WATCHDOG=1')
 
 
 class _SpinErrors:

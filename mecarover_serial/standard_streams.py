@@ -98,7 +98,6 @@ class _StreamRelay:
             fcntl.fcntl(self._pipe, _F_SETPIPE_SZ, _PIPE)
         self._waiting = bytearray()
         self._lost = 0
-        self._is_broken = False                 # its reader has gone
 
     def redirect(self, fd: int) -> None:
         os.dup2(self._pipe, fd)
@@ -124,8 +123,6 @@ class _StreamRelay:
     def _receive(self) -> None:
         with suppress(BlockingIOError):
             chunk = os.read(self._source, _KEPT)
-            if self._is_broken:
-                return
             if len(self._waiting) + len(chunk) > _KEPT:
                 self._lost += chunk.count(b'\n')
             else:
@@ -140,9 +137,7 @@ class _StreamRelay:
             written = os.write(self._target, self._waiting[:_AT_ONCE])
         except BlockingIOError:
             written = 0
-        except OSError:
-            self._is_broken = True
-            self._lost = 0
+        except OSError:                         # its reader has gone
             written = len(self._waiting)
         del self._waiting[:written]
 

@@ -24,17 +24,8 @@ class Systemd:
         self._socket.setblocking(False)
         self.watchdog_s = self._watchdog_s(environment)
 
-    def ready(self) -> None:
-        self._notify('READY=1')
-
-    def alive(self) -> None:
-        """Feed the watchdog; at least twice per `watchdog_s`."""
-        self._notify('WATCHDOG=1')
-
-    def stopping(self) -> None:
-        self._notify('STOPPING=1')
-
-    def _notify(self, state: str) -> None:
+    def notify(self, state: str) -> None:
+        """Say READY=1, STOPPING=1, or WATCHDOG=1: that at least twice per `watchdog_s`."""
         if self._address:
             with suppress(OSError):
                 self._socket.sendto(state.encode(), self._address)

@@ -75,28 +75,28 @@ class MonitoredBus:
     def report(self, now: int) -> BusReport:
         """Return what is known; what the adapter delays is not silence."""
         self.monitor.decoder.set_latency_timer(self.listener.latency_timer_ms or 0)
-        return self.monitor.report(now, self.listener.counters.line_errors,
+        return self.monitor.report(now, self.listener.line_errors,
                                    self.listener.state.is_open and not self._behind_since)
 
     def port_state(self, warnings: Sequence[str] = ()) -> PortState:
         """Return what the driver and the thread know about the port; `warnings` are the node's."""
-        counters, state = self.listener.counters, self.listener.state
-        errors = counters.line_errors._asdict() if counters.line_errors is not None else {}
+        listener, state = self.listener, self.listener.state
+        errors = listener.line_errors._asdict() if listener.line_errors is not None else {}
         values = pairs({
-            'Bytes read': counters.bytes,
-            'Reads': counters.reads,
-            'Openings': counters.openings,
-            'Largest gap between reads (ms)': f'{1e3 * counters.largest_gap_s:.1f}',
-            'Low latency mode': self.listener.low_latency,
+            'Bytes read': listener.bytes,
+            'Reads': listener.reads,
+            'Openings': listener.openings,
+            'Largest gap between reads (ms)': f'{listener.largest_gap / 1e6:.1f}',
+            'Low latency mode': listener.low_latency,
             'Read by': None if not state.is_open else 'a process of its own'
-            if self.listener.reader_pid else 'a thread of the node',
-            **dict(self._adapter(counters.openings) if state.is_open else ()),
-            'Latency timer (ms)': self.listener.latency_timer_ms,
+            if listener.reader_pid else 'a thread of the node',
+            **dict(self._adapter(listener.openings) if state.is_open else ()),
+            'Latency timer (ms)': listener.latency_timer_ms,
             **dict(self._recorders.values()),
             **{f'Driver: {name}': count for name, count in errors.items()},
         })
         warning = self._recorders.problem or '; '.join(
-            [*self.listener.problems(), *self._complaints()])
+            [*listener.problems(), *self._complaints()])
         if state.is_open and self._behind_since:
             warning = (f'{self.bus.port}: its reader is not responding, so the data is stale; '
                        'plug the adapter in again, or restart the node')
@@ -107,7 +107,7 @@ class MonitoredBus:
         """Return what disturbs the port while it is open: a login, a console."""
         if self._inspection is None or not self.listener.state.is_open:
             return []
-        self._inspection.inspect_if_due(self.listener.counters.openings, time.monotonic())
+        self._inspection.inspect_if_due(self.listener.openings, time.monotonic())
         return self._inspection.complaints
 
     def _adapter(self, openings: int) -> Pairs:

@@ -16,6 +16,7 @@ from servobus.errors import ParameterError
 from servobus.plain import printable
 from servobus.port.pty import Pty
 from servobus.sources.capture import BUSES_MAX
+from servobus.sources.capture import check_new
 from servobus.sources.capture import chunk_line
 from servobus.sources.capture import LINE_MAX_BYTES
 from servobus.sources.capture import lines
@@ -136,6 +137,7 @@ def test_nothing_is_written_to_a_port_or_over_a_file_that_is_no_capture(tmp_path
                              (tmp_path, 'is a directory'),
                              (tmp_path / 'none' / 'x', 'No such file or directory')):
             with pytest.raises(ParameterError, match=f'{re.escape(str(path))}: {reason}.*; '):
+                check_new(path)
                 open_new(path)
     assert notes.read_text() == 'keep me'
 

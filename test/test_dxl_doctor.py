@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """dxl_doctor: one screen, right exit codes, and a reason where nothing is heard."""
 
+from argparse import Namespace
 import bz2
 from functools import cache
 import gzip
@@ -122,7 +123,7 @@ def test_a_recording_that_is_cut_accuses_none():
     for end in range(len(chunks) - 30, len(chunks), 3):
         for left_of_the_last in (None, 5):
             cut = [*chunks[:end], chunks[end]._replace(data=chunks[end].data[:left_of_the_last])]
-            assert said(cut).wrong == ()
+            assert said(cut).wrong == []
 
 
 def test_what_is_over_is_told_as_over():
@@ -168,7 +169,7 @@ def test_without_times_nothing_is_said_of_times():
         at_once.append(chunk._replace(stamp=at))
     assert 'bus_too_slow' in [entry.rule for entry in said(at_once, wire=slow).wrong]
     found = said(at_once, is_timed=False, wire=slow)
-    assert found.wrong == ()
+    assert found.wrong == []
     assert any('no exact times' in text for text in found.unknown)
 
 
@@ -634,9 +635,10 @@ def test_a_text_that_is_not_known_is_one_line():
 
 
 def test_what_explain_prints():
-    text = '\n'.join(explain.lines(explain.find('[RxPacketError] Overload error!')))
+    text = explain.in_words(explain.find('[RxPacketError] Overload error!'))
     assert 'hardware error' in text
-    assert '  Possible causes, the likeliest first: .' not in explain.lines(explain.explanations())
+    whole = explain.in_words(explain.explanations())
+    assert '  Possible causes, the likeliest first: .' not in whole
     assert max(map(len, text.splitlines())) <= 80
 
 
@@ -759,9 +761,9 @@ def test_a_report_overwrites_no_other_file(tmp_path):
 
 
 def test_a_report_gives_back_all_that_was_said(tmp_path):
-    whole = said(heard('silent:4:2'))._replace(cycles=('50 Hz', 'a wait'), quiet=('no power',))
-    maker = issue_report.Maker((), (), (), (), 'auto')
-    (tmp_path / 'report').write_text(issue_report.make_report(whole, [], 1.0, maker, b''))
+    whole = said(heard('silent:4:2'))._replace(cycles=['50 Hz', 'a wait'], quiet=['no power'])
+    options = Namespace(devices=[], protocol='auto')
+    (tmp_path / 'report').write_text(issue_report.make_report(whole, [], 1.0, [], options, b''))
     assert issue_report.load_report(str(tmp_path / 'report')).verdict == whole
 
 

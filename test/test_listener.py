@@ -115,7 +115,7 @@ def test_is_lost_and_found_ten_times(tmp_path):
     for round_ in range(10):
         _plug_in_and_out(link, collector, bytes([round_]))
     assert collector.data == bytes(range(10))
-    assert collector.listener.counters.openings == 10
+    assert collector.listener.openings == 10
     collector.listener.stop()
     assert collector.listener.state.kind == 'stopped'
     assert len(os.listdir('/proc/self/fd')) == before
@@ -135,7 +135,7 @@ def test_no_mistake_ends_the_listening(cable):
     listener.start()
     wait(lambda: listener.state.is_open)
     os.write(cable.master, b'x')
-    wait(lambda: listener.counters.openings > 1 and listener.state.is_open)
+    wait(lambda: listener.openings > 1 and listener.state.is_open)
     os.write(cable.master, b'y')
     wait(lambda: b'y' in b''.join(heard))
     listener.stop()
@@ -188,7 +188,7 @@ def test_hears_a_terminal_server_and_finds_it_again(cable):
     with TerminalServer(cable.path) as server:
         collector = Collector(server.url, 1_000_000)
         for opening in (1, 2):
-            wait(lambda: collector.listener.counters.openings == opening)  # noqa: B023
+            wait(lambda: collector.listener.openings == opening)  # noqa: B023
             collector.wait_open()
             os.write(cable.master, b'over the net')
             wait(lambda: collector.data == opening * b'over the net')        # noqa: B023

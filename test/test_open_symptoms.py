@@ -105,14 +105,14 @@ def test_what_no_rule_accounts_for_has_its_causes_and_a_step(report, whom, says,
     assert (found.device, found.message) == (whom, says)
     assert found.step.startswith(step)
     verdict = make_verdict('bus.txt', [BusSummary('', report, ())], 10, True)
-    assert (verdict.code, verdict.wrong, len(verdict.not_sure)) == (WARNING, (), 1)
+    assert (verdict.code, verdict.wrong, len(verdict.not_sure)) == (WARNING, [], 1)
 
 
 @pytest.mark.parametrize('report', SOUND)
 def test_a_sound_bus_is_not_doubted(report):
     assert open_symptoms(report, ()) == []
     verdict = make_verdict('bus.txt', [BusSummary('', report, ())], 10, True)
-    assert (verdict.code, verdict.not_sure) == (WELL, ())
+    assert (verdict.code, verdict.not_sure) == (WELL, [])
     assert 'Nothing wrong that listening can find' in screen(verdict)
 
 
@@ -144,21 +144,21 @@ def test_a_doubt_with_a_step_is_not_sure_and_one_without_is_information():
     [point] = verdict.not_sure
     assert (verdict.code, point.who, point.rule) == (WARNING, 'the bus', 'noise')
     assert '(`fuser -v /dev/ttyUSB3`)' in point.step
-    assert verdict.unknown == ('too hot, 001, XL430-W250: Temperature Limit never read',)
-    assert as_json(verdict, [], 10)['not_sure'] == [list(point)]
+    assert verdict.unknown == ['too hot, 001, XL430-W250: Temperature Limit never read']
+    assert as_json(verdict, [], 10)['not_sure'] == [point]
     assert verdict_of(report._replace(doubts=(UNKNOWN,))).code == WELL
 
 
 def test_where_something_fails_for_sure_the_doubts_follow_from_it():
     dead = Finding('no_answer', Level.ERROR, 2, 'no answer')
     verdict = verdict_of(heard(used(3), doubts=(OVERLAP,)), dead)
-    assert (verdict.code, verdict.not_sure, len(verdict.unknown)) == (ERROR, (), 1)
+    assert (verdict.code, verdict.not_sure, len(verdict.unknown)) == (ERROR, [], 1)
 
 
 def test_what_a_warning_accounts_for_is_no_doubt_any_more():
     foreign = Finding('foreign_answers', Level.WARN, 3, 'another master')
     verdict = verdict_of(heard(used(0), doubts=(OVERLAP,)), foreign)
-    assert (verdict.code, verdict.not_sure, len(verdict.unknown)) == (WARNING, (), 1)
+    assert (verdict.code, verdict.not_sure, len(verdict.unknown)) == (WARNING, [], 1)
 
 
 @pytest.mark.parametrize(('findings', 'is_open'), [

@@ -45,8 +45,8 @@ from servobus.sources.source_name import bus_name
 from servobus.sources.usb_find import find
 from servobus.sources.usb_port import Place
 from servobus.sources.usb_port import UsbPort
-from servobus.sources.usb_ring import HEADER_SIZE
 from servobus.sources.usb_ring import kept_of
+from servobus.sources.usbmon import HEADER_SIZE
 from servobus.tools.start_program import environment
 
 MODELS = Models()
@@ -73,24 +73,25 @@ def plug(root, name, bus, number, vendor, product, interfaces, version='0900'):
     device.mkdir(parents=True)
     (root / 'bus/usb/devices' / name).symlink_to(device)
     for file, text in (('busnum', bus), ('devnum', number), ('idVendor', vendor),
-                       ('idProduct', product), ('bcdDevice', version)):
+                       ('idProduct', product)):
         (device / file).write_text(f'{text}\n')
+    described = bytes((18, 1)) + bytes(6) + b''.join(
+        int(text, 16).to_bytes(2, 'little') for text in (vendor, product, version)) + bytes(4)
+    described += bytes((9, 2)) + bytes(7)
     for index, (kind, ends, tty) in enumerate(interfaces):
         folder = device / f'{name}:1.{index}'
         folder.mkdir()
         (folder / 'bInterfaceNumber').write_text(f'{index:02x}\n')
-        (folder / 'bInterfaceClass').write_text(f'{kind}\n')
+        described += bytes((9, 4, index, 0, len(ends), int(kind, 16), 0, 0, 0))
         for address, size in ends.items():
-            end = folder / f'ep_{address:02x}'
-            end.mkdir()
-            (end / 'bEndpointAddress').write_text(f'{address:02x}\n')
-            (end / 'wMaxPacketSize').write_text(f'{size:04x}\n')
-            (end / 'bmAttributes').write_text('02\n' if size > 16 else '03\n')
+            described += bytes((7, 5, address, 2 if size > 16 else 3)) \
+                + size.to_bytes(2, 'little') + bytes(1)
         if tty:
             port = folder / tty if tty.startswith('ttyUSB') else folder
             port.mkdir(exist_ok=True)
             (root / 'class/tty' / tty).mkdir()
             (root / 'class/tty' / tty / 'device').symlink_to(port)
+    (device / 'descriptors').write_bytes(described)
 
 
 def test_adapter_is_found_by_its_tty_its_socket_and_its_number(tmp_path):
@@ -119,7 +120,7 @@ def test_what_is_no_adapter_is_told(tmp_path):
     (tmp_path / 'class/tty/ttyAMA0').mkdir()
     for name, words in (('/dev/ttyUSB9', 'is not there'), ('1-7', 'is not there'),
                         ('1.9', 'is not there'), ('/dev/ttyAMA0', 'is not on USB'),
-                        ('1-1', 'no pair of bulk endpoints'), ('1.3', '0781:5567')):
+                        ('1-1', '046d:c31c'), ('1.3', '0781:5567')):
         with pytest.raises(PortError, match=words):
             find(name, tmp_path)
 
@@ -183,8 +184,6 @@ def test_what_was_seen_is_let_go_and_what_found_no_room_is_counted(monkeypatch):
                 raise BlockingIOError
             (ctypes.c_uint32 * len(found)).from_address(argument.offsets)[:] = found
             del places[:argument.count]
-        elif request == usb_ring._FLUSH:
-            gone.append(argument)
         elif request == usb_ring._STATISTICS:
             argument[4:] = dropped.pop(0).to_bytes(4, 'little')
 
@@ -258,7 +257,7 @@ def test_adapter_that_is_unplugged_is_looked_for(meeting_place):
             for openings in (1, 2):
                 stream, _ = server.accept()
                 stream.sendall(told)
-                wait(lambda n=openings: collector.listener.counters.openings == n
+                wait(lambda n=openings: collector.listener.openings == n
                          and collector.listener.state.kind == 'lost')
                 assert 'the adapter was unplugged' in collector.listener.state.text
                 stream.close()

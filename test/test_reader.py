@@ -64,14 +64,14 @@ def test_equal_bytes_in_equal_order(cable, in_thread):
     wait(lambda: listener.state.is_open)
     sent = random.Random(4).randbytes(300_000)
     send(cable, sent)
-    wait(lambda: listener.counters.bytes == len(sent))
+    wait(lambda: listener.bytes == len(sent))
     listener.stop()
     assert b''.join(chunk.data for chunk in chunks) == sent
     stamps = [chunk.stamp for chunk in chunks]
     assert stamps == sorted(stamps)
     assert stamps[-1] <= time.monotonic_ns()
-    assert listener.counters.reads == len(chunks)
-    assert listener.counters.openings == 1
+    assert listener.reads == len(chunks)
+    assert listener.openings == 1
 
 
 def test_only_the_process_reads_and_nobody_can_write(cable, collector):
@@ -133,7 +133,7 @@ def test_a_killed_one_is_replaced_and_nothing_lost(cable, collector):
         assert 'the reader process ended with signal 9' in collector.listener.state.text
         assert collector.listener.state.is_open
     assert collector.data == sent
-    assert collector.listener.counters.openings == 1
+    assert collector.listener.openings == 1
 
 
 def _wait_for_bytes(collector, count):

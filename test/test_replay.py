@@ -117,7 +117,7 @@ def test_faster_and_again_and_again(tmp_path):
     size = sum(len(data) for data, _ in chunks)
     with Program(REPLAY, str(path), '--link', str(link), '--speed', '0',
                  '--loop') as replay, Collector(link) as collector:
-        wait(lambda: collector.listener.counters.bytes > 3 * size)
+        wait(lambda: collector.listener.bytes > 3 * size)
         assert collector.report(later=0).counters['Noise Bytes'] == 0
         replay.signal(signal.SIGINT)
         assert replay.exit_code() == 0
@@ -140,7 +140,7 @@ def test_every_bus_has_its_pty(tmp_path, form):
         replay.wait_for('waiting')
         with Collector(tmp_path / 'bus_left') as left, \
                 Collector(tmp_path / 'bus_right%2Farm') as right:
-            wait(lambda: left.listener.counters.bytes == 3 and right.listener.counters.bytes == 6)
+            wait(lambda: left.listener.bytes == 3 and right.listener.bytes == 6)
             replay.wait_for('played 6 chunks, 9 bytes')
         replay.signal(signal.SIGTERM)
         assert replay.exit_code() == 0

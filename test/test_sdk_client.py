@@ -63,7 +63,7 @@ class Bench(ListenedBus):
     def device(self, number):
         """Return what the monitor says once it has heard all that was on the bus."""
         tap = self.bus.tap
-        wait(lambda: self.listener.counters.bytes == tap.taken)
+        wait(lambda: self.listener.bytes == tap.taken)
         return super().device(number)
 
     def known(self, number, address, size):

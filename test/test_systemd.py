@@ -15,9 +15,9 @@ def test_the_manager_hears_every_state(tmp_path, is_abstract):
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         manager.bind(name.replace('@', '\0'))
         systemd = Systemd({'NOTIFY_SOCKET': name})
-        systemd.ready()
-        systemd.alive()
-        systemd.stopping()
+        systemd.notify('READY=1')
+        systemd.notify('WATCHDOG=1')
+        systemd.notify('STOPPING=1')
         assert [manager.recv(100) for _ in range(3)] == [b'READY=1', b'WATCHDOG=1', b'STOPPING=1']
         systemd._socket.close()
 
@@ -25,8 +25,8 @@ def test_the_manager_hears_every_state(tmp_path, is_abstract):
 def test_without_a_manager_nothing_happens(tmp_path):
     for environment in ({}, {'NOTIFY_SOCKET': str(tmp_path / 'not_there')}):
         systemd = Systemd(environment)
-        systemd.ready()
-        systemd.alive()
+        systemd.notify('READY=1')
+        systemd.notify('WATCHDOG=1')
         assert systemd.watchdog_s is None
         systemd._socket.close()
 

@@ -25,7 +25,6 @@ from msg_defs.event import PURGED
 from msg_defs.event import RTS
 
 _VENDOR_OUT, _VENDOR_INTERFACE_OUT, _CLASS_OUT = 0x40, 0x41, 0x21
-_COMMUNICATION_DATA = 0x0A         # class of an interface
 # Chips divide their own clock, so what they make is near the rate that was asked for.
 _USUAL_RATES = (9600, 19_200, 38_400, 57_600, 76_800, 115_200, 128_000, 222_222, 230_400, 250_000,
                 460_800, 500_000, 921_600, 1_000_000, 1_500_000, 2_000_000, 2_250_000, 2_500_000,
@@ -83,13 +82,16 @@ class Adapter:
     """
 
     name = 'unknown adapter'
+    VENDOR = INTERFACE_CLASS = -1  # what a device says of itself that is one
+    DEVICES: tuple[tuple[int, int], ...] = ()      # vendor and product
     IDLE_SIZE = 0                  # a transfer to the host of no more bytes carries no data
     MULTI: tuple[int, ...] = ()    # the versions (bcdDevice) that have several ports
 
     @classmethod
     def matches(cls, identity: UsbIdentity) -> bool:
         """Return whether a device that says this of itself is one."""
-        return False
+        return identity.vendor == cls.VENDOR or identity[:2] in cls.DEVICES \
+            or identity.interface_class == cls.INTERFACE_CLASS
 
     @classmethod
     def is_set_up_by(cls, setup: Setup, data: bytes) -> bool:
@@ -103,10 +105,6 @@ class Adapter:
     def received(self, data: bytes) -> tuple[bytes, Changes]:
         """Return the bytes of the line in one transfer to the host, and what else it says."""
         return data, []
-
-    def bare(self, data: bytes) -> bytes | None:
-        """Return what received() does where it has nothing else to say; None: ask that."""
-        return data
 
     def control(self, setup: Setup, data: bytes) -> Changes:
         """Return what a control transfer sets; data: what went with it in either direction."""
@@ -126,30 +124,25 @@ class Ftdi(Adapter):
     """
 
     name = 'FTDI'
+    VENDOR = 0x0403
     IDLE_SIZE = _STATUS_SIZE = 2
+    _ERROR_BITS = 0x1E             # those of _ERRORS
     MULTI = (0x0500, 0x0700, 0x0800, 0x2800, 0x2900, 0x3300)
     _EIGHTHS = (0, 3, 2, 4, 1, 5, 6, 7)       # by the code in bits 14 to 16 of the divisor
-
-    @classmethod
-    def matches(cls, identity: UsbIdentity) -> bool:
-        return identity.vendor == 0x0403
 
     @classmethod
     def is_set_up_by(cls, setup: Setup, data: bytes) -> bool:
         return setup.kind == _VENDOR_OUT and setup.request in (3, 9) and setup.target & 0xFF < 8
 
     def received(self, data: bytes) -> tuple[bytes, Changes]:
-        size = self.packet_size
-        packets = [data[at:at + size] for at in range(0, len(data), size)]
-        changes = [change for packet in packets if len(packet) > self._STATUS_SIZE
-                   for change in _errors(packet[1])]
-        return b''.join([packet[self._STATUS_SIZE:] for packet in packets]), changes
-
-    def bare(self, data: bytes) -> bytes | None:
-        size = len(data)
-        if size > self.packet_size or (size > self._STATUS_SIZE and data[1] & 0x1E):
-            return None
-        return data[self._STATUS_SIZE:]
+        line = b''
+        changes: Changes = []
+        for at in range(0, len(data), self.packet_size):
+            packet = data[at:at + self.packet_size]
+            line += packet[self._STATUS_SIZE:]
+            if len(packet) > self._STATUS_SIZE and packet[1] & self._ERROR_BITS:
+                changes += _errors(packet[1])
+        return line, changes
 
     def control(self, setup: Setup, data: bytes) -> Changes:
         kind, request, value, _ = setup
@@ -176,14 +169,11 @@ class CdcAcm(Adapter):
     """Boards that are a USB modem to the host: CH343, OpenRB-150, OpenCR and the like."""
 
     name = 'CDC-ACM'
+    INTERFACE_CLASS = 0x0A         # the data of a modem
     _NOTICE = b'\xa1\x20'
     _HEAD_SIZE, _STATE_SIZE = 8, 2
     _ERRORS = ((0x04, BREAK), (0x10, FRAMING), (0x20, PARITY), (0x40, OVERRUN))
     _rest = b''                # begin of a notice that is longer than a packet
-
-    @classmethod
-    def matches(cls, identity: UsbIdentity) -> bool:
-        return identity.interface_class == _COMMUNICATION_DATA
 
     @classmethod
     def is_set_up_by(cls, setup: Setup, data: bytes) -> bool:
@@ -218,12 +208,8 @@ class Ch341(Adapter):
     name = 'CH340/CH341'
     _WRITE_REGISTER, _MODEM = 0x9A, 0xA4
     _DIVISOR = 0x1312              # the two registers of prescaler and divisor
-    _DEVICES = ((0x1A86, 0x7523), (0x1A86, 0x7522), (0x1A86, 0x5523), (0x4348, 0x5523),
-                (0x1A86, 0xE523), (0x2184, 0x0057), (0x9986, 0x7523))
-
-    @classmethod
-    def matches(cls, identity: UsbIdentity) -> bool:
-        return identity[:2] in cls._DEVICES
+    DEVICES = ((0x1A86, 0x7523), (0x1A86, 0x7522), (0x1A86, 0x5523), (0x4348, 0x5523),
+               (0x1A86, 0xE523), (0x2184, 0x0057), (0x9986, 0x7523))
 
     @classmethod
     def is_set_up_by(cls, setup: Setup, data: bytes) -> bool:
@@ -250,13 +236,10 @@ class Cp210x(Adapter):
     """
 
     name = 'CP210x'
+    VENDOR = 0x10C4
     _SIZES = (2, 4, 3, 3)          # bytes of each message after ESC
     _escape = b''
     _rest = b''                # begin of an escape that is not all here
-
-    @classmethod
-    def matches(cls, identity: UsbIdentity) -> bool:
-        return identity.vendor == 0x10C4
 
     @classmethod
     def is_set_up_by(cls, setup: Setup, data: bytes) -> bool:
@@ -277,9 +260,6 @@ class Cp210x(Adapter):
         if request == 0x15:
             self._escape = bytes([value & 0xFF]) if value & 0xFF else b''
         return []
-
-    def bare(self, data: bytes) -> bytes | None:
-        return None if self._escape else data
 
     def received(self, data: bytes) -> tuple[bytes, Changes]:
         if not self._escape:

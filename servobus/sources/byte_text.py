@@ -51,8 +51,6 @@ _STRACE = re.compile(rf'\b(writev?|pwrite64|readv?|pread64)\((\d+)(?:<([^>]{{,99
 _OPENED = re.compile(r'open(?:at)?\([^"]{,99}"(/dev/[^"]{1,99})".{,199}= (\d{1,9})')
 _SIGROK = re.compile(r'(?:\d+-\d+ )?[\w ]{1,40}-?\d*: (?:[\w/ ]{1,40}: )?([0-9A-F]{2})')
 _PYTHON = re.compile(r"""\bb(?:'((?:[^'\\]|\\.)*)'|"((?:[^"\\]|\\.)*)")""")
-_ESCAPE = re.compile(r'\\(?:x([0-9a-f]{2})|([0-7]{1,3})|(.))', re.IGNORECASE)
-_LETTERS = {'n': '\n', 'r': '\r', 't': '\t', 'v': '\v', 'f': '\f', 'a': '\a', 'b': '\b'}
 
 
 class TextBytes(NamedTuple):
@@ -234,11 +232,8 @@ class _LineReader:
 
 def unescaped(text: str) -> bytes:
     """Return the bytes of a string as C and Python print them."""
-    def replace(found: re.Match[str]) -> str:
-        if found[1]:
-            return chr(int(found[1], 16))
-        return chr(int(found[2], 8) & 0xFF) if found[2] else _LETTERS.get(found[3], found[3])
-    return _ESCAPE.sub(replace, text).encode('latin-1', 'replace')
+    data = text.encode('latin-1', 'replace')
+    return data.decode('unicode_escape', 'replace').encode('latin-1', 'replace')
 
 
 def _bytes_in(line: str) -> tuple[bytes, int]:

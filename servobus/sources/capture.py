@@ -22,7 +22,6 @@ from datetime import timedelta
 from datetime import timezone
 import errno
 import os
-from pathlib import Path
 import stat
 from typing import BinaryIO
 from typing import NamedTuple
@@ -35,6 +34,7 @@ from msg_defs.event import Chunk
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
+from msg_defs.units import NS_PER_S
 from servobus.errors import ParameterError
 from servobus.plain import printable
 
@@ -44,13 +44,13 @@ VERSIONS = (b'1', b'2')
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _WALL = '%Y-%m-%dT%H:%M:%S.%fZ'
 _UNQUOTED = '/:._-+@'               # stay as they are in a bus name, as letters and digits do
-_SECOND = 1_000_000_000
 STAMP_END = 1 << 63                 # ns: 292 years; longer than any time since a boot
 BAUD_MAX = 100_000_000
 LATENCY_MAX_MS = 10_000
 BUSES_MAX = 256
 VALUE_MAX_DIGITS = 18               # in the value of a change
 LINE_MAX_BYTES = 1 << 20            # bytes: many times the longest line that is ever written
+BEGIN_SIZE = 8192                   # bytes that show what a file is
 BAD_TEXT_MAX_LENGTH = 60            # characters of a bad line in a message
 
 
@@ -76,7 +76,7 @@ class Moment(NamedTuple):
 
 def seconds(stamp: int) -> str:
     """Spell ns as seconds with all nine decimals: exact, and of one width."""
-    return f'{stamp // _SECOND}.{stamp % _SECOND:09}'
+    return f'{stamp // NS_PER_S}.{stamp % NS_PER_S:09}'
 
 
 def chunk_line(chunk: Chunk) -> bytes:
@@ -196,7 +196,7 @@ class Reader:
                 self.began = now
             if now.stamp + self._shift < self._last:
                 since = now.wall - self.began.wall + self.began.stamp
-                if since < self._last - _SECOND:       # the wall-clock was set back
+                if since < self._last - NS_PER_S:       # the wall-clock was set back
                     since = self._last
                 self._shift = _bounded(since) - now.stamp
         elif line.startswith(f'# {ENDED}'.encode()):
@@ -243,7 +243,7 @@ def _stamp(text: bytes) -> int:
     whole, fraction = text.split(b'.')
     if not (whole.isdigit() and fraction.isdigit()):       # int takes -1, and 1_0
         raise ValueError(text)
-    return _bounded(int(whole) * _SECOND + int(fraction.ljust(9, b'0')[:9]))
+    return _bounded(int(whole) * NS_PER_S + int(fraction.ljust(9, b'0')[:9]))
 
 
 def _bounded(stamp: int) -> int:
@@ -257,43 +257,48 @@ def _wall(text: str) -> int:
     return since // timedelta(microseconds=1) * 1000
 
 
-def check_new(path: str | Path, is_ours: Callable[[str | Path], bool] | None = None) -> None:
+def is_capture(begin: bytes) -> bool:
+    """Tell whether a file that begins so is a capture."""
+    return begin.startswith(MAGIC)
+
+
+def check_new(path: str, is_ours: Callable[[bytes], bool] = is_capture, what: str = 'capture',
+              name: str = 'capture') -> None:
     """
     Raise ParameterError for what must not be written to.
 
-    That is a port, above all, and any file that is not a recording; is_ours: knows one.
+    That is a port, above all, and any other file than ours: `what`, which `is_ours` knows by its
+    begin. name: of the parameter or option that has the path.
     """
     try:
-        status = os.stat(path)
-        is_file = stat.S_ISREG(status.st_mode) and status.st_size > 0
-        if is_file and not (is_ours or is_capture)(path):
-            raise _refusal(path, 'exists, is not a recording of dxl_dump, and is kept' if is_ours
-                           else 'exists, is not a capture, and is kept')
-        if stat.S_ISDIR(status.st_mode):
-            raise _refusal(path, 'is a directory')
-        if stat.S_ISCHR(status.st_mode) and _is_port(path):
-            raise _refusal(path, 'is a port, and this tool never sends')
+        mode = os.stat(path).st_mode
+        if stat.S_ISDIR(mode):
+            raise OSError('is a directory')
+        if stat.S_ISCHR(mode) and _is_port(path):
+            raise OSError('is a port, and this tool never sends')
+        if stat.S_ISREG(mode):
+            with open(path, 'rb') as file:
+                begin = file.read(BEGIN_SIZE)
+            if begin and not is_ours(begin):
+                raise OSError(f'exists, is not a {what}, and is kept')
     except FileNotFoundError:
         pass
     except OSError as error:
-        raise _refusal(path, error.strerror or str(error)) from error
+        raise _refusal(name, path, error) from error
 
 
-def open_new(path: str | Path, waits: bool = True,
-             is_ours: Callable[[str | Path], bool] | None = None) -> BinaryIO:
+def open_new(path: str, waits: bool = True) -> BinaryIO:
     """
     Open a file to write a recording to; an older one of that name is lost.
 
-    waits: for somebody to read, where it is a pipe; else that is a ParameterError. is_ours: as
-    in check_new.
+    waits: for somebody to read, where it is a pipe; else that is a ParameterError.
     """
-    check_new(path, is_ours)
     try:
         return open(path, 'wb', opener=None if waits else _without_waiting)
     except OSError as error:
         if error.errno == errno.ENXIO:
-            raise _refusal(path, 'is a pipe that no program reads') from error
-        raise _refusal(path, error.strerror or str(error)) from error
+            error = OSError('is a pipe that no program reads')
+        raise _refusal('capture', path, error) from error
 
 
 def _without_waiting(path: str, flags: int) -> int:
@@ -302,13 +307,7 @@ def _without_waiting(path: str, flags: int) -> int:
     return descriptor
 
 
-def is_capture(path: str | Path) -> bool:
-    """Tell whether a file begins as a capture does."""
-    with open(path, 'rb') as file:
-        return file.read(len(MAGIC)) == MAGIC
-
-
-def _is_port(path: str | Path) -> bool:
+def _is_port(path: str) -> bool:
     descriptor = os.open(path, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
     try:
         return os.isatty(descriptor)
@@ -316,5 +315,5 @@ def _is_port(path: str | Path) -> bool:
         os.close(descriptor)
 
 
-def _refusal(path: str | Path, reason: str) -> ParameterError:
-    return ParameterError(f'capture: {path}: {reason}; give another file name')
+def _refusal(name: str, path: str, error: OSError) -> ParameterError:
+    return ParameterError(f'{name}: {path}: {error.strerror or error}; give another file name')

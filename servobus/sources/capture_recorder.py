@@ -137,6 +137,7 @@ class Recorder:
         self._file.flush()
 
     def _begin_file(self) -> None:
+        check_new(self.path)
         self._make_room()
         self._file = open_new(self.path, waits=False)
         self._writer = Writer(self._file, self._now())
@@ -145,7 +146,6 @@ class Recorder:
         """Rename the file and the older ones; what is not a file (a pipe, /dev/null) stays."""
         if not os.path.isfile(self.path) or not os.path.getsize(self.path):
             return
-        check_new(self.path)
         for number in range(self._kept, 0, -1):
             newer = self.path if number == 1 else f'{self.path}.{number - 1}'
             with suppress(FileNotFoundError):

@@ -22,6 +22,7 @@ import threading
 
 from msg_defs.diagnostics import Level
 from msg_defs.event import Chunk
+from msg_defs.units import NS_PER_S
 from servobus.bus.report import BusReport
 from servobus.bus.report import DISCONNECTED
 from servobus.errors import ParameterError
@@ -33,9 +34,8 @@ from servobus.sources.capture_recorder import moment
 from servobus.sources.capture_recorder import Recorder
 from servobus.worker import Worker
 
-S = 1_000_000_000
-BEFORE_NS, AFTER_NS = 60 * S, 30 * S
-REPEAT_NS = 600 * S                # the same finding of the same device makes no file for so long
+BEFORE_NS, AFTER_NS = 60 * NS_PER_S, 30 * NS_PER_S
+REPEAT_NS = 600 * NS_PER_S         # the same finding of one device makes no file for so long
 MEMORY_MAX_BYTES = 32_000_000      # bytes in memory, for each bus
 CHUNK_OVERHEAD_BYTES = 250         # bytes of memory that a chunk takes besides its data
 WAITING_MAX_BYTES = 1 << 30
@@ -154,26 +154,21 @@ class FlightRecorder:
                 first = self._chunks[0][1].stamp if self._chunks else now.stamp
                 self._file = file
             file.remark(f'flight recorder: recording of {why}, with the '
-                        f'{(now.stamp - first) / S:.1f} s before it')
+                        f'{(now.stamp - first) / NS_PER_S:.1f} s before it')
             self._until = now.stamp + AFTER_NS
             file.start(self._worker)
             return self.path
 
     def _make_room(self) -> None:
-        """Delete the oldest files until the others, and as much again, fit in the folder."""
-        files = []
-        for one in self._folder.glob(f'{_NAME}*.txt'):
-            with suppress(OSError):             # somebody has just deleted it
+        """Delete the oldest files, by the time in their names, until the others fit the folder."""
+        total = 0
+        for one in sorted(self._folder.glob(f'{_NAME}*.txt'), reverse=True):
+            with suppress(OSError):             # somebody has just deleted it, or it is not ours
                 status = one.lstat()
-                if stat.S_ISREG(status.st_mode):    # a link to one of them is not ours
-                    files.append((status.st_mtime, status.st_size, one))
-        total = sum(size for _, size, _ in files)
-        for _, size, one in sorted(files):
-            if total <= self._size:
-                return
-            with suppress(OSError):             # that of another user
-                one.unlink()
-                total -= size
+                if stat.S_ISREG(status.st_mode):        # a link to one of them is not ours
+                    total += status.st_size
+                    if total > self._size:
+                        one.unlink()
 
     def stop(self) -> None:
         """End the file that is being written."""

@@ -56,16 +56,6 @@ class ListenerState(NamedTuple):
     text: str = ''
 
 
-class ListenerCounters(NamedTuple):
-    """Totals since the start."""
-
-    bytes: int
-    reads: int
-    openings: int
-    largest_gap_s: float         # between two reads while bytes were waiting
-    line_errors: LineErrors | None       # None: the driver counts none
-
-
 class Listener:
     """
     A listener on one port; both callbacks come from its thread.
@@ -91,16 +81,17 @@ class Listener:
         self.low_latency = False
         self.reader_pid: int | None = None           # the process that reads at present
         self.listened = 0            # stamp (ns) up to which all that came was handed on
+        self.bytes = self.reads = self.openings = 0  # totals since the start
+        self.largest_gap = 0         # ns between two reads while bytes were waiting
+        self.line_errors: LineErrors | None = None   # None: the driver counts none
         self._bus = bus
         self._on_chunks = on_chunks
         self._on_idle = on_idle
         self._records_every_s = records_every_s
         self._in_thread = in_thread
-        self._bytes = self._reads = self._openings = self._largest_gap = 0
         self._backoff = Backoff()
         self._fd: int | None = None                  # the open port's, if it is a serial one
         self._errors_at = 0          # when the driver's counters were read
-        self._errors_now: LineErrors | None = None
         self._errors_before = LineErrors()           # before this opening
         self._errors_at_opening: LineErrors | None = None
         self._stopping = False
@@ -108,12 +99,6 @@ class Listener:
         self._thread_reason = ''     # why no process reads
         self._wake_read, self._wake_write = os.pipe()
         self._thread = threading.Thread(target=self._run, name=f'listener {port}', daemon=True)
-
-    @property
-    def counters(self) -> ListenerCounters:
-        """The totals, from any thread."""
-        return ListenerCounters(self._bytes, self._reads, self._openings, self._largest_gap * 1e-9,
-                           self._errors_now)
 
     @property
     def idle_s(self) -> float:
@@ -177,7 +162,7 @@ class Listener:
             port.close()
 
     def _prepare(self, port: Port) -> None:
-        self._errors_before = self._errors_now or LineErrors()
+        self._errors_before = self.line_errors or LineErrors()
         self._errors_at_opening = None
         self._fd = port.fd if port.is_tty else None
         if self._fd is not None:
@@ -187,7 +172,7 @@ class Listener:
         self._opened(f'open at {self.baud} baud')
 
     def _opened(self, words: str) -> None:
-        self._openings += 1
+        self.openings += 1
         self._set_open(words)
 
     def _set_open(self, words: str) -> None:
@@ -216,7 +201,7 @@ class Listener:
             return port.wait(seconds, self._wake_read)
 
         def deliver(data: bytes, stamp: int) -> None:
-            self._largest_gap = max(self._largest_gap, loop.largest_gap)
+            self.largest_gap = max(self.largest_gap, loop.largest_gap)
             self._deliver(Chunk(stamp, self._bus, data))
 
         loop = reader.Loop(wait, port.read, deliver, self._report_idle,
@@ -256,7 +241,7 @@ class Listener:
                         if self._thread_reason:
                             self._thread_reason = ''
                             self._set_open(words)
-                        self._largest_gap = max(self._largest_gap, record.largest_gap)
+                        self.largest_gap = max(self.largest_gap, record.largest_gap)
                         accept_record(record)
                     time.sleep(self._records_every_s)
         finally:
@@ -274,8 +259,8 @@ class Listener:
     def _deliver(self, *chunks: Chunk) -> None:
         """Count and hand on what one read brought."""
         if size := sum(len(chunk.data) for chunk in chunks):
-            self._bytes += size
-            self._reads += 1
+            self.bytes += size
+            self.reads += 1
             self._backoff.reset()
         self._on_chunks(chunks)
         self.listened = stamp = chunks[-1].stamp
@@ -292,7 +277,7 @@ class Listener:
         if self._errors_at_opening is not None and self._fd is not None:
             counted = line_errors(self._fd)
             if counted is not None:
-                self._errors_now = self._errors_before + counted.since(self._errors_at_opening)
+                self.line_errors = self._errors_before + counted.since(self._errors_at_opening)
 
     def _pause(self, seconds: float) -> None:
         """Wait, but not when we are stopped."""

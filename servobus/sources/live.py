@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from collections.abc import Sequence
 import queue
 import sys
@@ -16,6 +15,7 @@ from servobus.sources.capture import Wire
 from servobus.sources.capture_recorder import moment
 from servobus.sources.listener import STARTING
 from servobus.sources.listeners import listener_on
+from servobus.sources.source import Chunks
 from servobus.sources.source import Source
 from servobus.sources.source_name import bus_name
 from servobus.sources.source_name import has_sides
@@ -58,7 +58,7 @@ class LivePort(Source):
             elif not (self._overrides and chunk.change and chunk.change.what == BAUD):
                 self._queue.put(chunk)
 
-    def chunks(self) -> Iterator[Chunk | None]:
+    def chunks(self) -> Chunks:
         while True:
             yield self._next()
 
@@ -71,7 +71,7 @@ class LivePort(Source):
             return None
 
     def problems(self) -> list[str]:
-        errors = self._listener.counters.line_errors
+        errors = self._listener.line_errors
         lost = errors.buf_overrun + errors.overrun if errors is not None else 0
         return [text for count, text in (
             (self._lost, f'{self._lost} bytes are not shown: the output was too slow'),

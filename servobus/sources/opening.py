@@ -136,7 +136,7 @@ def _file(name: str, file: BufferedReader, baud: int | None, adapter: str | None
     if head.startswith(MAGIC):
         return CaptureFile(name, file, baud)
     # Text on a pipe may be what a board prints, for ever; only bytes are waited for to the end.
-    if is_text(begin) and (is_regular or _shows_header(begin)):
+    if is_text(begin) and (is_regular or b'\xff\xff' in _shown(begin).data):
         return _text_file(name, file, baud, tool)
     return RawFile(name, file, baud)
 
@@ -175,10 +175,6 @@ def _sigrok_file(name: str, file: BufferedReader, baud: int | None, head: bytes)
         file.close()
         raise UsageError(f'{name}: {error}') from error
     return TextFile(name, file, baud, found) if found else None
-
-
-def _shows_header(begin: bytes) -> bool:
-    return b'\xff\xff' in _shown(begin).data
 
 
 def _shown(content: bytes) -> ByteText:

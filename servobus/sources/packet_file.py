@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from collections.abc import Sequence
 from contextlib import suppress
 from io import BytesIO
-from pathlib import Path
 import struct
 from typing import BinaryIO
 
@@ -41,13 +40,13 @@ from servobus.sources.pcap import RESOLUTION
 from servobus.sources.pcap import SECTION
 from servobus.sources.pcap import SECTION_MAGIC
 from servobus.sources.pcap import SPEED
+from servobus.sources.source import Chunks
 from servobus.sources.source import File
 from servobus.sources.source_name import DEFAULT_BAUD
 
 _FLAG = {UNKNOWN: 0, IN: 1, OUT: 2}
 _SIDE = {flag: side for side, flag in _FLAG.items()}
 _NS_RESOLUTION = b'\x09'
-_BEGIN = 8192                      # bytes that show what a file is
 _EVENT = 'event: '                 # begins the comment of a block without bytes
 
 
@@ -68,14 +67,13 @@ class PacketWriter:
             self._block(INTERFACE, struct.pack('<HHI', LINK_USER0, 0, 0) + _options(
                 (NAME, wire.name.encode()), (ABOUT, wire.port.encode()),
                 (SPEED, wire.baud.to_bytes(8, 'little')), (RESOLUTION, _NS_RESOLUTION)))
+        options = b''
+        if side or comments:
+            options = _options(*((COMMENT, text.encode()) for text in comments),
+                               (FLAGS, _FLAG[side].to_bytes(4, 'little')))
         size = len(data)
-        rest = bytes(-size % 4) + (_options(
-            *((COMMENT, text.encode()) for text in comments),
-            (FLAGS, _FLAG[side].to_bytes(4, 'little'))) if comments else _FLAG_ALONE[side])
-        length = _PACKET_SIZE + size + len(rest)
-        self._file.write(_PACKET_HEAD.pack(
-            ENHANCED, length, number, stamp >> 32, stamp & 0xFFFFFFFF, size, size)
-            + data + rest + length.to_bytes(4, 'little'))
+        head = struct.pack('<IIIII', number, stamp >> 32, stamp & 0xFFFFFFFF, size, size)
+        self._block(ENHANCED, head + _padded(data) + options)
 
     @staticmethod
     def comment(change: Change) -> str:
@@ -96,21 +94,10 @@ def _padded(data: bytes) -> bytes:
     return data + bytes(-len(data) % 4)
 
 
-_PACKET_HEAD = struct.Struct('<IIIIIII')
-_PACKET_SIZE = _PACKET_HEAD.size + 4   # the block, without a packet
-_FLAG_ALONE = {side: _options((FLAGS, flag.to_bytes(4, 'little'))) if side else b''
-               for side, flag in _FLAG.items()}
-
-
 def holds_packets(begin: bytes) -> bool:
     """Tell whether a file that begins so is one of these."""
     first = next(iter(PcapReader(BytesIO(begin))), None) if is_pcap(begin) else None
     return first is not None and first.link == LINK_USER0
-
-
-def is_packet_file(path: str | Path) -> bool:
-    with open(path, 'rb') as file:
-        return holds_packets(file.read(_BEGIN))
 
 
 class PacketFile(File):
@@ -119,7 +106,7 @@ class PacketFile(File):
     def _begin(self) -> None:
         self._packets = PcapReader(self._file)
 
-    def chunks(self) -> Iterator[Chunk | None]:
+    def chunks(self) -> Chunks:
         """Yield each packet as a chunk; its stamp is of the last byte, or for OUT of the first."""
         for packet in self._packets:
             if packet.link == LINK_USER0:

@@ -10,11 +10,13 @@ front of the damage, and a problem in words.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from collections.abc import Sequence
 import struct
 from typing import Any
 from typing import BinaryIO
 from typing import NamedTuple
 
+from msg_defs.units import NS_PER_S
 from servobus.plain import printable
 
 LINK_USB_LINUX, LINK_USB_LINUX_MMAPPED, LINK_USBPCAP = 189, 220, 249
@@ -28,11 +30,11 @@ _PCAPNG_MAGIC = SECTION.to_bytes(4, 'big')
 _ORDERS = {struct.pack(f'{order}I', SECTION_MAGIC): order for order in '<>'}
 INTERFACE, ENHANCED = 1, 6       # blocks; packets without a time are of no use here
 NAME, ABOUT, SPEED, RESOLUTION, _OFFSET = 2, 3, 8, 9, 14       # options of an interface
+_DEFAULTS = dict.fromkeys((NAME, ABOUT, SPEED, RESOLUTION, _OFFSET), b'')
+_MICROSECONDS = b'\x06'            # resolution of a file that does not say
 COMMENT, FLAGS = 1, 2            # options of a packet
-_NS = 1_000_000_000
 MAGIC_SIZE = 4
 BLOCK_MAX_BYTES = 1 << 26          # bytes: no packet of USB is near that
-INTERFACES_MAX = 4096
 
 
 class Interface(NamedTuple):
@@ -54,7 +56,7 @@ class CapturedPacket(NamedTuple):
     order: str
     data: bytes
     flags: int = 0
-    comments: tuple[str, ...] = ()
+    comments: Sequence[str] = ()
 
     @property
     def link(self) -> int:
@@ -100,13 +102,12 @@ class PcapReader:
         self._order, unit = _PCAP_MAGIC[magic]
         *_, link = self._unpack('HHiIII', self._exactly(20, 'its header'))
         link &= 0xFFFF             # above: length of a checksum
-        head = struct.Struct(self._order + 'IIII')
-        while front := self._some(head.size, 'the header of a packet'):
-            seconds, fraction, kept, _ = head.unpack(front)
+        while front := self._some(16, 'the header of a packet'):
+            seconds, fraction, kept, _ = self._unpack('IIII', front)
             if kept > BLOCK_MAX_BYTES:
                 raise _Damaged(f'a packet of {kept} bytes: damaged')
             data = self._exactly(kept, 'a packet')
-            stamp = seconds * _NS + fraction * unit
+            stamp = seconds * NS_PER_S + fraction * unit
             yield CapturedPacket(Interface(link), stamp, self._order, data)
 
     # --- pcapng --------------------------------------------------------------------------------
@@ -141,22 +142,16 @@ class PcapReader:
         return body[:-4]
 
     def _interface(self, body: bytes) -> None:
-        if len(body) < 8 or len(self._interfaces) >= INTERFACES_MAX:
+        if len(body) < 8:
             raise _Damaged('a description of an interface that makes no sense: damaged')
-        one = Interface(self._unpack('H', body)[0])
-        for code, value in self._options(body[8:]):
-            if code == RESOLUTION and value:
-                base, power = (2, value[0] & 0x7F) if value[0] & 0x80 else (10, value[0])
-                one = one._replace(units_per_second=base ** min(power, 64))
-            elif code == _OFFSET and len(value) == 8:
-                one = one._replace(offset_s=self._unpack('q', value)[0])
-            elif code == SPEED and len(value) == 8:
-                one = one._replace(speed=self._unpack('Q', value)[0])
-            elif code == NAME:
-                one = one._replace(name=_text(value))
-            elif code == ABOUT:
-                one = one._replace(about=_text(value))
-        self._interfaces.append(one)
+        [link] = self._unpack('H', body)
+        options = _DEFAULTS | dict(self._options(body[8:]))
+        code = (options[RESOLUTION] or _MICROSECONDS)[0]
+        base, power = (2, code & 0x7F) if code & 0x80 else (10, code)
+        [offset_s] = self._unpack('q', options[_OFFSET].ljust(8, b'\0'))
+        [speed] = self._unpack('Q', options[SPEED].ljust(8, b'\0'))
+        self._interfaces.append(Interface(link, base ** min(power, 64), offset_s,
+                                          _text(options[NAME]), _text(options[ABOUT]), speed))
 
     def _options(self, body: bytes) -> Iterator[tuple[int, bytes]]:
         at = 0
@@ -174,14 +169,14 @@ class PcapReader:
         if number >= len(self._interfaces) or kept > len(body) - 20:
             raise _Damaged('a packet of no interface, or cut: damaged')
         one = self._interfaces[number]
-        stamp = (high << 32 | low) * _NS // one.units_per_second + one.offset_s * _NS
+        stamp = (high << 32 | low) * NS_PER_S // one.units_per_second + one.offset_s * NS_PER_S
         flags, comments = 0, []
         for code, value in self._options(body[20 + kept + -kept % 4:]):
             if code == FLAGS and len(value) == 4:
                 flags = self._unpack('I', value)[0]
             elif code == COMMENT:
                 comments.append(_text(value))
-        return CapturedPacket(one, stamp, self._order, body[20:20 + kept], flags, tuple(comments))
+        return CapturedPacket(one, stamp, self._order, body[20:20 + kept], flags, comments)
 
     # --- bytes ---------------------------------------------------------------------------------
 

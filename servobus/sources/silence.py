@@ -16,8 +16,18 @@ _WIRE = ('The adapter is not connected to the data line: connect D+, D- and grou
          'ground) to the bus of the master. A bus without supply is silent too.')
 
 
-def of_port(name: str) -> list[str]:
-    """Return why a port that is open heard no byte."""
+def reasons(name: str, is_live: bool) -> list[str]:
+    """Return why a source of this name gave no byte."""
+    if not is_live:
+        return of_file(name)
+    kind, _, port = name.partition(':')
+    if kind == 'usb':
+        return [f'No program uses {port} now: start yours, and listen while it runs.',
+                'The program uses another adapter: check which port it opens.', _NOT_BAUD]
+    if kind == 'tap':
+        program = port.partition('/')[0]
+        return [f'No program sent anything: start it with dxl_tap {program} -- COMMAND, and '
+                'listen while it runs.']
     found = []
     for reason in warnings(name, ours=_OURS) if os.path.exists(name) else ():
         remedy = f'then this is its own port; listen with usb:{name}' if reason.kind == 'busy' \
@@ -26,28 +36,5 @@ def of_port(name: str) -> list[str]:
     return [*found, _NO_MASTER, _WIRE, f'It is another port: {ports_here()}.', _NOT_BAUD]
 
 
-def of_usb(name: str) -> list[str]:
-    """Return why usb:PORT heard no byte."""
-    return [f"No program uses {name.partition(':')[2]} now: start yours, and listen while it "
-            'runs.',
-            'The program uses another adapter: check which port it opens.', _NOT_BAUD]
-
-
 def of_file(name: str) -> list[str]:
     return [f'{name} holds no byte of a bus: record again while a program uses the bus.']
-
-
-def of_tap(name: str) -> list[str]:
-    """Return why tap:NAME heard no byte."""
-    program = name.partition(':')[2].partition('/')[0]
-    return [f'No program sent anything: start it with dxl_tap {program} -- COMMAND, and listen '
-            'while it runs.']
-
-
-def reasons(name: str, is_live: bool) -> list[str]:
-    """Return why a source of this name gave no byte."""
-    if not is_live:
-        return of_file(name)
-    if name.startswith('usb:'):
-        return of_usb(name)
-    return of_tap(name) if name.startswith('tap:') else of_port(name)

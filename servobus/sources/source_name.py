@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import os
 
+from servobus.port.port_users import tty_of
+
 TAP, USB = 'tap:', 'usb:'
 PREFIXES = (TAP, USB)              # live sources; listeners.py has their listeners
 _USB_TTYS = ('ttyUSB', 'ttyACM')
@@ -35,8 +37,7 @@ def bus_name(name: str) -> str:
 
 def ways_to_hear(port: str) -> str:
     """Return which sources hear a program that has this port open."""
-    tty = os.path.basename(os.path.realpath(port))
-    return (f'{USB}{port} or ' if tty.startswith(_USB_TTYS) else '') \
+    return (f'{USB}{port} or ' if tty_of(port).startswith(_USB_TTYS) else '') \
         + f'{TAP}NAME (dxl_tap NAME -- COMMAND starts it)'
 
 

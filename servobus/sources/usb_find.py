@@ -13,18 +13,15 @@ from pathlib import Path
 import re
 from typing import NamedTuple
 
-from msg_defs.event import IN
-from msg_defs.event import OUT
 from servobus.port.port_error import PortError
 from servobus.port.port_error import Reason
 from servobus.port.port_users import file_text
 from servobus.port.port_users import tty_of
 from servobus.sources.adapters import Adapter
-from servobus.sources.adapters import adapter_of
 from servobus.sources.adapters import FAMILIES
-from servobus.sources.adapters import UsbIdentity
 from servobus.sources.serial_driver import SYS
 from servobus.sources.usb_port import Place
+from servobus.sources.usb_survey import described_ports
 
 _SOCKET = re.compile(r'\d+-\d+(\.\d+)*')               # bus and the numbers of sockets: 1-1.2
 _NUMBER = re.compile(r'(\d+)\.(\d+)')                  # bus and device: 1.7
@@ -41,67 +38,46 @@ class PluggedAdapter(NamedTuple):
 
 def find(name: str, root: Path = SYS) -> PluggedAdapter:
     """Return the adapter of `/dev/ttyUSB0`, `1-1.2` or `1.7`; raise PortError without one."""
-    interface = _interface(name, root)
-    device = interface.parent
-    identity = UsbIdentity(_hex(device / 'idVendor'), _hex(device / 'idProduct'),
-                        _hex(device / 'bcdDevice'), _hex(interface / 'bInterfaceClass'))
-    number = f'{identity.vendor:04x}:{identity.product:04x}'
-    ends = _bulk(interface)
-    adapter = adapter_of(identity, ends[IN][1])
-    if adapter is None:
-        raise _refused(name, f'is a USB device {number}, but not one of the known serial '
-                             'adapters', f"known are: {', '.join(one.name for one in FAMILIES)}")
-    place = Place(int(_text(device / 'busnum')), int(_text(device / 'devnum')),
-                  ends[IN][0] & 0x7F, ends[OUT][0])
-    return PluggedAdapter(place, adapter, _latency(interface),
-                          f'{adapter.name} {number} at {device.name}')
+    device, number = _device(name, root)
+    identity = f'{_text(device / "idVendor")}:{_text(device / "idProduct")}'
+    descriptors = b''
+    with suppress(OSError):            # it may be unplugged by now
+        descriptors = (device / 'descriptors').read_bytes()
+    for port in described_ports(descriptors, *_numbers(device)):
+        if port.interface >= number:   # the bytes of a modem are on the interface after its own
+            return PluggedAdapter(port.place, port.adapter, _latency(device, port.interface),
+                                  f'{port.adapter.name} {identity} at {device.name}')
+    raise _refused(name, f'is a USB device {identity}, but not one of the known serial adapters',
+                   f"known are: {', '.join(one.name for one in FAMILIES)}")
 
 
-def _interface(name: str, root: Path) -> Path:
-    """Return the folder of the interface that carries the bytes."""
-    devices = root / 'bus/usb/devices'
+def _device(name: str, root: Path) -> tuple[Path, int]:
+    """Return the folder of a device, and the number of the interface that `name` means."""
     number = _NUMBER.fullmatch(name)
     if number or _SOCKET.fullmatch(name):
-        wanted = [int(one) for one in number.groups()] if number else []
-        for device in sorted(devices.glob('[0-9]*-*' if number else name)):
-            if not number or wanted == [int(_text(device / file) or -1)
-                                        for file in ('busnum', 'devnum')]:
-                return _data_interface(device.resolve(), 0)
+        wanted = number and (int(number[1]), int(number[2]))
+        for device in (root / 'bus/usb/devices').glob('[0-9]*-*'):
+            if name == device.name or wanted == _numbers(device):
+                return device.resolve(), 0
         raise _absent(name)
     tty = root / 'class/tty' / tty_of(name)
     if not tty.exists():
         raise _absent(name)
     place = (tty / 'device').resolve()
-    while not (place / 'bInterfaceNumber').exists():
-        if place == place.parent or not place.is_relative_to(root.resolve()):
-            raise _refused(name, 'is not on USB', 'usb: works with USB adapters only; listen to '
-                           'the port itself, or use dxl_tap')
-        place = place.parent
-    return _data_interface(place.parent, _hex(place / 'bInterfaceNumber'))
+    for folder in (place, *place.parents):
+        if interface := _text(folder / 'bInterfaceNumber'):
+            return folder.parent, int(interface, 16)
+    raise _refused(name, 'is not on USB', 'usb: works with USB adapters only; listen to the port '
+                   'itself, or use dxl_tap')
 
 
-def _data_interface(device: Path, number: int) -> Path:
-    """Return this interface of a device, or the one after it that holds a modem's data."""
-    interfaces = {_hex(one / 'bInterfaceNumber'): one for one in device.glob(f'{device.name}:*')}
-    for following, interface in sorted(interfaces.items()):
-        if following >= number and len(_bulk(interface)) == 2:
-            return interface
-    raise _refused(device.name, 'has no pair of bulk endpoints', 'give the name of its tty')
+def _numbers(device: Path) -> tuple[int, int]:
+    """Return the numbers of a device and its bus."""
+    return int(_text(device / 'busnum') or 0), int(_text(device / 'devnum') or 0)
 
 
-def _bulk(interface: Path) -> dict[str, tuple[int, int]]:
-    """Return address and packet size of the bulk endpoints by side."""
-    found: dict[str, tuple[int, int]] = {}
-    for folder in sorted(interface.glob('ep_*')):
-        if folder.is_dir() and _hex(folder / 'bmAttributes') & 3 == 2:
-            address = _hex(folder / 'bEndpointAddress')
-            found.setdefault(IN if address & 0x80 else OUT,
-                             (address, _hex(folder / 'wMaxPacketSize') & 0x7FF))
-    return found
-
-
-def _latency(interface: Path) -> int | None:
-    for file in interface.glob('tty*/latency_timer'):
+def _latency(device: Path, interface: int) -> int | None:
+    for file in device.glob(f'*.{interface}/tty*/latency_timer'):
         with suppress(OSError, ValueError):
             return int(file.read_text())
     return None
@@ -109,13 +85,6 @@ def _latency(interface: Path) -> int | None:
 
 def _text(file: Path) -> str:
     return file_text(file).strip()
-
-
-def _hex(file: Path) -> int:
-    try:
-        return int(_text(file), 16)
-    except ValueError:
-        return 0
 
 
 def _refused(name: str, reason: str, remedy: str) -> PortError:

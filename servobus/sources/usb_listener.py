@@ -10,7 +10,6 @@ time, so that one that comes back under another number is followed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 import os
 from pathlib import Path
@@ -118,7 +117,6 @@ class UsbListener(Listener):
             usb = self._usb or self._find_port(event)
             if usb is not None:
                 found = usb.decode_event(event)
-                self._follow_changes(found)
                 chunks += found
                 if found and found[-1].change == UNPLUGGED_CHANGE:
                     break
@@ -129,18 +127,19 @@ class UsbListener(Listener):
             self._newest = stamp
             if chunk.data:
                 self._last = stamp
+            elif chunk.change is not None:
+                self._follow_change(chunk.change)
         if chunks:
             self._deliver(*chunks)
             if chunks[-1].change == UNPLUGGED_CHANGE:
                 raise self._gone()
 
-    def _follow_changes(self, chunks: Sequence[Chunk]) -> None:
+    def _follow_change(self, change: Change) -> None:
         """Learn the rate and the latency timer."""
-        for change in filter(None, (chunk.change for chunk in chunks)):
-            if change.what == BAUD:
-                self.baud = change.value
-            elif change.what == LATENCY_TIMER:
-                self.latency_timer_ms = change.value
+        if change.what == BAUD:
+            self.baud = change.value
+        elif change.what == LATENCY_TIMER:
+            self.latency_timer_ms = change.value
 
     def _find_port(self, event: UsbEvent) -> UsbPort | None:
         """Find the port in a stream that says itself what is plugged in."""

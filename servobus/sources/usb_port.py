@@ -9,8 +9,8 @@ to the host. Neither is the time on the wire: an adapter gathers what it receive
 
 from __future__ import annotations
 
+from typing import Any
 from typing import NamedTuple
-from typing import TypeVar
 
 from msg_defs.event import Change
 from msg_defs.event import Changes
@@ -21,7 +21,6 @@ from msg_defs.event import IN
 from msg_defs.event import LOST
 from msg_defs.event import NOT_SENT
 from msg_defs.event import OUT
-from msg_defs.event import UNKNOWN
 from servobus.sources.adapters import Adapter
 from servobus.sources.adapters import Setup
 from servobus.sources.usbmon import BULK
@@ -41,17 +40,15 @@ PENDING_TRANSFERS_MAX = 256        # transfers under way; a driver has 16 at mos
 
 UNPLUGGED_CHANGE = Change(GONE, 1)
 _SENT = 'sent'                     # the end of an output
-_Key = TypeVar('_Key')
-_Kept = TypeVar('_Kept')
 
 
 class Place(NamedTuple):
-    """Where a port is on USB; bulk endpoints without the bit of the direction, 0: any."""
+    """Where a port is on USB; bulk endpoints without the bit of the direction."""
 
     bus: int
     device: int
-    bulk_in: int = 0
-    bulk_out: int = 0
+    bulk_in: int
+    bulk_out: int
 
     @property
     def words(self) -> str:
@@ -71,44 +68,36 @@ class UsbPort:
         self.adapter = adapter
         self._name = name
         self.later = 0                                 # ns that are added to stamps
-        self._bulk = {place.bulk_in | INPUT: IN, place.bulk_out: OUT} if place.bulk_in else None
         self._setups = Setups()
         self._sizes: dict[int, int] = {}               # data on their way to the adapter
-        self._kinds = _kinds(place)
+        self._sides = {(place.bulk_in | INPUT, True): IN, (place.bulk_out, False): OUT,
+                       (place.bulk_out, True): _SENT}
+        # The same by the 8 bytes of a header that tell it.
+        self._kinds = {
+            what_key(DONE if is_done else SUBMITTED, endpoint, place.device, place.bus,
+                     ord('>') if side is _SENT else 0): side
+            for (endpoint, is_done), side in self._sides.items()}
 
     def skim(self, data: bytes, at: int, decoded: list[Chunk]) -> int:
         """
-        Decode the whole bulk transfers without a fault that begin here, for Records.events().
+        Decode the whole bulk transfers that begin here and did not fail, for Records.events().
 
-        Nearly all events are of that kind: it takes a third of the time. decode_event() returns
-        the same chunks.
+        Nearly all events are of that kind: it takes half of the time of decode_event(), which
+        returns the same chunks.
         """
-        unpack, kind_of, bare = FRONT.unpack_from, self._kinds.get, self.adapter.bare
-        name, later = self._name, self.later
+        unpack, side_of, transfer = FRONT.unpack_from, self._kinds.get, self._transfer
         size = len(data)
         last = size - HEADER_SIZE
         while at <= last:
             number, kind, seconds, us, status, moved, kept = unpack(data, at)
-            side = kind_of(kind)
+            side = side_of(kind)
             begin = at + HEADER_SIZE
             end = begin + kept
-            if side is None or end > size or not 0 <= us < 1_000_000 or seconds < 0:
+            if side is None or end > size or kept > moved or (status and side is not OUT) \
+                    or not 0 <= us < 1_000_000 or seconds < 0:
                 break
-            if side is _SENT:
-                if status or kept:
-                    break
-                self._sizes.pop(number, None)
-            elif kept != moved or (status and side is IN):
-                break
-            else:
-                line = bare(data[begin:end]) if side is IN else data[begin:end]
-                if line is None:
-                    break
-                if side is OUT:
-                    _remember(self._sizes, number, moved)
-                if line:
-                    stamp = seconds * 1_000_000_000 + us * 1000 + later
-                    decoded.append(Chunk(stamp, name, line, side))
+            stamp = seconds * 1_000_000_000 + us * 1000 + self.later
+            decoded += transfer(side, number, data[begin:end], moved, status, stamp)
             at = end
         return at
 
@@ -116,37 +105,42 @@ class UsbPort:
         """Return what an event says about the port: bytes first, then changes."""
         if (event.bus, event.device) != self.place[:2]:
             return []
+        chunks: list[Chunk] = []
         changes: Changes = []
-        data, side = b'', UNKNOWN
+        stamp = event.stamp + self.later
         if event.transfer == BULK:
-            data, side, changes = self._bulk_data(event)
+            side = self._sides.get((event.endpoint, event.is_done))
+            if side is not None:
+                chunks = self._transfer(side, event.number, event.data, event.size,
+                                        event.status, stamp)
+                changes = _end_of(event)
         elif event.transfer == CONTROL:
             changes = self._control(event)
         elif event.transfer == INTERRUPT and event.is_done:
             changes = self.adapter.interrupt(event.data) if event.is_input else []
             changes += _end_of(event)
-        stamp = event.stamp + self.later
-        chunks = [Chunk(stamp, self._name, data, side)] if data else []
         return chunks + [Chunk(stamp, self._name, change=change) for change in changes]
 
-    def _bulk_data(self, event: UsbEvent) -> tuple[bytes, str, Changes]:
-        endpoint, is_done, status, number, _, data, size = event[3:4] + event[5:]
-        if self._bulk is not None and endpoint not in self._bulk:
-            return b'', UNKNOWN, []
-        if endpoint & INPUT:
-            if not is_done:
-                return b'', UNKNOWN, []
-            line, changes = self.adapter.received(data)
-            if status or len(data) < size:
-                changes = _cut(event) + changes + _end_of(event)
-            return line, IN, changes
-        if not is_done:
-            _remember(self._sizes, number, size)
-            return data, OUT, _cut(event) if len(data) < size else []
-        missing = self._sizes.pop(number, size) - size
-        if not status:
-            return b'', UNKNOWN, []
-        return b'', UNKNOWN, [Change(NOT_SENT, missing)] * (missing > 0) + _end_of(event)
+    def _transfer(self, side: str, number: int, data: bytes, size: int, status: int, stamp: int
+                  ) -> list[Chunk]:
+        """Return what a bulk transfer of so many bytes says; data: those that were kept."""
+        changes: Changes = []
+        if side is _SENT:
+            missing, data = self._sizes.pop(number, size) - size, b''
+            if status and missing > 0:         # Windows says 0 for what went well
+                changes = [Change(NOT_SENT, missing)]
+        else:
+            if len(data) < size:
+                changes = [Change(LOST, size - len(data))]
+            if side is IN:
+                data, found = self.adapter.received(data)
+                changes += found
+            else:
+                _remember(self._sizes, number, size)
+        chunks = [Chunk(stamp, self._name, data, side)] if data else []
+        if changes:
+            chunks += [Chunk(stamp, self._name, change=change) for change in changes]
+        return chunks
 
     def _control(self, event: UsbEvent) -> Changes:
         setup = self._setups.setup_of(event)
@@ -156,34 +150,14 @@ class UsbPort:
         return self.adapter.control(setup, event.data)
 
 
-def _cut(event: UsbEvent) -> Changes:
-    """Return how many bytes a capture left out."""
-    missing = event.size - len(event.data)
-    return [Change(LOST, missing)] if missing > 0 else []
-
-
 def _end_of(event: UsbEvent) -> Changes:
-    """Return whether the port was closed or unplugged."""
-    if event.status in UNPLUGGED[:1]:
+    """Return whether the port was closed or unplugged; what was only asked for says nothing."""
+    if event.status == UNPLUGGED:
         return [UNPLUGGED_CHANGE]
     return [Change(CLOSED, 1)] if event.status in KILLED else []
 
 
-def _kinds(place: Place) -> dict[int, str]:
-    """Return what events of a bulk transfer say, by the 8 bytes of their header that tell it."""
-    def key(kind: int, endpoint: int, data_flag: int) -> int:
-        return what_key(kind, endpoint, place.device, place.bus, data_flag)
-
-    kinds = {}
-    for number in (place.bulk_in,) if place.bulk_in else range(1, 16):
-        kinds[key(DONE, number | INPUT, 0)] = IN
-    for number in (place.bulk_out,) if place.bulk_in else range(1, 16):
-        kinds[key(SUBMITTED, number, 0)] = OUT
-        kinds[key(DONE, number, ord('>'))] = _SENT
-    return kinds
-
-
-def _remember(transfers: dict[_Key, _Kept], number: _Key, kept: _Kept) -> None:
+def _remember(transfers: dict[Any, Any], number: object, kept: object) -> None:
     """Keep something by the number of its transfer, and not more than can be under way."""
     transfers[number] = kept
     if len(transfers) > PENDING_TRANSFERS_MAX:

@@ -3,8 +3,8 @@
 """
 The ring of /dev/usbmonN, read in place: only what concerns one adapter is copied.
 
-Run by the reader process, which has nothing but the standard library. Source: kernel
-Documentation/usb/usbmon.rst, binary interface.
+Run by the reader process, which has nothing but the standard library and what usbmon.py needs.
+Source: kernel Documentation/usb/usbmon.rst, binary interface.
 """
 
 from __future__ import annotations
@@ -14,17 +14,18 @@ import fcntl
 import mmap
 import struct
 
+from servobus.sources.usbmon import BULK
+from servobus.sources.usbmon import CONTROL
+from servobus.sources.usbmon import HEADER_SIZE
+from servobus.sources.usbmon import INPUT
+from servobus.sources.usbmon import INTERRUPT
+from servobus.sources.usbmon import KINDS
+from servobus.sources.usbmon import SUBMITTED
+
 RING_SIZE = 1200 * 1024            # the most that the kernel gives
 FETCH_MAX_EVENTS = 4096            # events that are looked at in one go
-HEADER_SIZE = 64
-
 _RING_SIZE_SET, _RING_SIZE_GET = 0x9204, 0x9205
 _STATISTICS = 0x80089203
-_FLUSH = 0x9208
-_CONTROL, _BULK, _INTERRUPT = 2, 3, 1
-_KINDS = b'SCE'
-_SUBMITTED = ord('S')
-_INPUT = 0x80
 _LOOK = struct.Struct('=8xBBBB16xi4xI')        # kind, transfer, endpoint, device, status, kept
 
 
@@ -45,17 +46,17 @@ def kept_of(events: bytes | mmap.mmap, at: int, device: int, endpoints: frozense
     """
     kind, transfer, endpoint, its_device, status, kept = _LOOK.unpack_from(events, at)
     wanted = False
-    if its_device != device or kind not in _KINDS:
+    if its_device != device or kind not in KINDS:
         return -1
-    if transfer == _CONTROL:
+    if transfer == CONTROL:
         wanted = True
-    elif transfer == _INTERRUPT:
-        wanted = kind != _SUBMITTED and bool(kept or status)
-    elif transfer == _BULK and endpoint in endpoints:
-        if kind == _SUBMITTED:
-            wanted = endpoint < _INPUT
+    elif transfer == INTERRUPT:
+        wanted = kind != SUBMITTED and bool(kept or status)
+    elif transfer == BULK and endpoint in endpoints:
+        if kind == SUBMITTED:
+            wanted = endpoint < INPUT
         else:
-            wanted = bool(status) or (endpoint >= _INPUT and kept > idle)
+            wanted = bool(status) or (endpoint >= INPUT and kept > idle)
     return kept if wanted else -1
 
 
@@ -81,16 +82,15 @@ class Ring:
     def read(self) -> bytes:
         """Return the events that concern the adapter, one after the other; do not wait."""
         found = []
-        count = self._fetch()
-        while count:
+        while count := self._fetch():
             for offset in self._offsets[:count]:
                 kept = kept_of(self._map, offset, self._device, self._endpoints, self._idle)
                 if kept >= 0:
                     found.append(self._map[offset:offset + HEADER_SIZE + kept])
             self._seen = count
-            count = self._fetch() if count == FETCH_MAX_EVENTS else 0
-        self._release()
-        self._count_dropped()
+        counts = bytearray(8)
+        fcntl.ioctl(self._fd, _STATISTICS, counts)
+        self.dropped += int.from_bytes(counts[4:], 'little')
         return b''.join(found)
 
     def _fetch(self) -> int:
@@ -102,13 +102,3 @@ class Ring:
         except BlockingIOError:
             return 0
         return int(ask.count)
-
-    def _release(self) -> None:
-        if self._seen:
-            fcntl.ioctl(self._fd, _FLUSH, self._seen)
-            self._seen = 0
-
-    def _count_dropped(self) -> None:
-        counts = bytearray(8)
-        fcntl.ioctl(self._fd, _STATISTICS, counts)
-        self.dropped += int.from_bytes(counts[4:], 'little')

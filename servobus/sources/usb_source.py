@@ -11,26 +11,24 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from io import BufferedReader
-import os
 import shutil
 from tempfile import TemporaryFile
 from typing import BinaryIO
 from typing import cast
 
 from msg_defs.event import BAUD
-from msg_defs.event import Chunk
 from servobus.errors import UsageError
 from servobus.sources.capture import Moment
 from servobus.sources.capture import STAMP_END
-from servobus.sources.capture import Wire
-from servobus.sources.pcap import CapturedPacket
 from servobus.sources.pcap import is_pcap
 from servobus.sources.pcap import LINK_USB_LINUX
 from servobus.sources.pcap import LINK_USB_LINUX_MMAPPED
 from servobus.sources.pcap import LINK_USBPCAP
 from servobus.sources.pcap import MAGIC_SIZE
 from servobus.sources.pcap import PcapReader
+from servobus.sources.source import Chunks
 from servobus.sources.source import File
+from servobus.sources.source import READ_SIZE
 from servobus.sources.usb_port import UsbPort
 from servobus.sources.usb_survey import Found
 from servobus.sources.usb_survey import Survey
@@ -42,7 +40,7 @@ from servobus.sources.usbmon import OLD_HEADER_SIZE
 from servobus.sources.usbmon import Records
 from servobus.sources.usbmon import UsbEvent
 
-READ_SIZE = 1 << 16
+_HEADER_SIZES = {LINK_USB_LINUX: OLD_HEADER_SIZE, LINK_USB_LINUX_MMAPPED: HEADER_SIZE}
 
 
 def is_usb(head: bytes) -> bool:
@@ -56,27 +54,31 @@ def may_be_usb(head: bytes) -> bool:
 
 
 class UsbEvents:
-    """The events of an open file, from its position on; it can seek."""
+    """The events of an open file that can seek, each time from its start."""
 
     def __init__(self, file: BinaryIO) -> None:
         self.problems: list[str] = []
         self._file = file
-        head = file.read(MAGIC_SIZE)
-        self._is_pcap = is_pcap(head)
-        file.seek(-len(head), os.SEEK_CUR)
 
     def __iter__(self) -> Iterator[UsbEvent]:
-        return self._from_packets() if self._is_pcap else self._from_records()
+        self.problems.clear()
+        self._file.seek(0)
+        is_packets = is_pcap(self._file.read(MAGIC_SIZE))
+        self._file.seek(0)
+        return self._from_packets() if is_packets else self._from_records()
 
     def _from_packets(self) -> Iterator[UsbEvent]:
         others: Counter[int] = Counter()
         reader = PcapReader(self._file)
         bad = 0
         for packet in reader:
-            if packet.link not in (LINK_USB_LINUX, LINK_USB_LINUX_MMAPPED, LINK_USBPCAP):
+            if packet.link == LINK_USBPCAP:
+                event = decode_usbpcap(packet.data, packet.stamp)
+            elif packet.link in _HEADER_SIZES:
+                event = decode(packet.data, packet.order, _HEADER_SIZES[packet.link])
+            else:
                 others[packet.link] += 1
                 continue
-            event = _event(packet)
             if event is None:
                 bad += 1
             else:
@@ -99,13 +101,6 @@ class UsbEvents:
             self.problems.append('it ends within an event: cut off, or still being written')
 
 
-def _event(packet: CapturedPacket) -> UsbEvent | None:
-    if packet.link == LINK_USBPCAP:
-        return decode_usbpcap(packet.data, packet.stamp)
-    size = OLD_HEADER_SIZE if packet.link == LINK_USB_LINUX else HEADER_SIZE
-    return decode(packet.data, packet.order, size)
-
-
 class UsbFile(File):
     """
     The chunks of a file of USB events; baud overrides what the file says, None learns it.
@@ -117,21 +112,16 @@ class UsbFile(File):
     def __init__(self, name: str, file: BufferedReader, baud: int | None,
                  adapter: str | None) -> None:
         super().__init__(name, _seekable(file), baud)
-        self._events = self._from_the_start()
+        self._events = UsbEvents(self._file)
         survey = Survey()
         for event in self._events:
             survey.add_event(event)
         found = _chosen(name, survey.ports(), adapter, self._events.problems)
         self._port = UsbPort(found.place, found.adapter, self._bus)
-        self.wires[self._bus] = Wire(self._bus, baud or 0, port=name)
+        self._add_bus(baud or 0)
 
-    def _from_the_start(self) -> UsbEvents:
-        self._file.seek(0)
-        return UsbEvents(self._file)
-
-    def chunks(self) -> Iterator[Chunk | None]:
+    def chunks(self) -> Chunks:
         """Yield what was heard, in the order of its stamps: those of the file, ns since 1970."""
-        self._events = self._from_the_start()
         newest = 0
         for event in self._events:
             for chunk in self._port.decode_event(event):
@@ -151,7 +141,6 @@ def _seekable(file: BufferedReader) -> BufferedReader:
         return file
     copy = TemporaryFile()                             # noqa: SIM115 - closed with the source
     shutil.copyfileobj(file, copy)
-    copy.flush()
     return cast(BufferedReader, copy)
 
 

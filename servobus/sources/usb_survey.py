@@ -9,6 +9,7 @@ the requests of the drivers count, and at last the bytes: FTDI's status bytes, h
 
 from __future__ import annotations
 
+from collections import defaultdict
 from typing import NamedTuple
 
 from servobus.sources.adapters import Adapter
@@ -26,28 +27,29 @@ from servobus.sources.usbmon import UsbEvent
 
 _GET_DESCRIPTOR = (0x80, 6)
 _DEVICE, _CONFIGURATION, _INTERFACE, _ENDPOINT = 1, 2, 4, 5
+_DEVICE_SIZE = 18
 _BULK_KIND = 2                     # in an endpoint's attributes
 _SMALL, _LARGE = 64, 512           # packets of a full-speed and of a high-speed device
 _SMALL_MARK, _LARGE_MARK = 1, 2    # low half of FTDI's first status byte: the size of packets
 _HEADER = b'\xff\xff'              # what every packet of a servo begins with
 _UNKNOWN = UsbIdentity(0, 0)
-DEVICES_MAX = 4096                 # what a damaged file may invent
 
 
 class Found(NamedTuple):
-    """A serial port in a stream; size: bytes of its bulk transfers so far."""
+    """A serial port; size: bytes of its bulk transfers so far."""
 
     place: Place
     adapter: Adapter
-    vendor: int
-    product: int
+    identity: UsbIdentity
+    interface: int
     size: int
 
     @property
     def words(self) -> str:
         """One line for a person who has to choose."""
-        identity = f' {self.vendor:04x}:{self.product:04x}' if self.vendor else ''
-        return f'{self.place.words} {self.adapter.name}{identity}, {self.size} bytes'
+        vendor, product = self.identity[:2]
+        numbers = f' {vendor:04x}:{product:04x}' if vendor else ''
+        return f'{self.place.words} {self.adapter.name}{numbers}, {self.size} bytes'
 
 
 class _Endpoint(NamedTuple):
@@ -71,7 +73,7 @@ class _UsbDevice:
 
     def add_descriptor(self, data: bytes) -> None:
         """Add a descriptor of the device, or those of a configuration."""
-        if len(data) >= 18 and data[1] == _DEVICE:
+        if len(data) >= _DEVICE_SIZE and data[1] == _DEVICE:
             self.identity = UsbIdentity(_word(data, 8), _word(data, 10), _word(data, 12))
         if data[1:2] == bytes([_CONFIGURATION]):
             endpoints = _endpoints(data)
@@ -88,14 +90,13 @@ class _UsbDevice:
                 _is_status(data, at) for at in range(0, len(data), _SMALL))
 
     def ports(self, bus: int, device: int) -> list[Found]:
-        vendor, product = self.identity[:2]
         found = []
         for incoming, outgoing in self._pairs():
             adapter = self._adapter(incoming)
             if adapter is not None:
                 size = self.seen.get(incoming.address, 0) + self.seen.get(outgoing, 0)
                 found.append(Found(Place(bus, device, incoming.address & ~INPUT, outgoing),
-                                   adapter, vendor, product, size))
+                                   adapter, self.identity, incoming.interface, size))
         return found
 
     def _pairs(self) -> list[tuple[_Endpoint, int]]:
@@ -124,23 +125,26 @@ class _UsbDevice:
         return CdcAcm(size) if self.has_header and not self.identity.vendor else None
 
 
+def described_ports(descriptors: bytes, bus: int, device: int) -> list[Found]:
+    """Return the serial ports of a device, from its own descriptor and those that follow it."""
+    described = _UsbDevice()
+    described.add_descriptor(descriptors[:_DEVICE_SIZE])
+    described.add_descriptor(descriptors[_DEVICE_SIZE:])
+    return described.ports(bus, device)
+
+
 class Survey:
     """Give it all events; `ports` says at any time what was found."""
 
     def __init__(self) -> None:
-        self._devices: dict[tuple[int, int], _UsbDevice] = {}
+        self._devices: defaultdict[tuple[int, int], _UsbDevice] = defaultdict(_UsbDevice)
         self._setups = Setups()
 
     def add_event(self, event: UsbEvent) -> None:
         is_bulk = event.transfer == BULK
         if not (event.data if is_bulk else event.transfer == CONTROL):
             return
-        key = event.bus, event.device
-        device = self._devices.get(key)
-        if device is None:
-            if len(self._devices) >= DEVICES_MAX:
-                return
-            device = self._devices[key] = _UsbDevice()
+        device = self._devices[event.bus, event.device]
         if is_bulk:
             device.add_bulk(event)
         else:

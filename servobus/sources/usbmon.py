@@ -18,9 +18,9 @@ from typing import NamedTuple
 ISO, INTERRUPT, CONTROL, BULK = range(4)
 INPUT = 0x80                       # bit of an endpoint address: towards the host
 KILLED = (-2, -104)                # the port was closed
-UNPLUGGED = (-108, -71)            # the device is gone; a protocol error comes just before
+UNPLUGGED = -108                   # the device is gone
 SUBMITTED, DONE, FAILED = b'SCE'
-_KINDS = frozenset(b'SCE')
+KINDS = frozenset(b'SCE')
 _SETUP_FLAGS = frozenset(b'\0-Z')
 
 HEADER_SIZE = 64
@@ -74,7 +74,7 @@ def decode(packet: bytes, order: str = '<', header_size: int = HEADER_SIZE) -> U
     if len(packet) < header_size:
         return None
     fields = _HEADERS[order].unpack_from(packet)
-    if fields[1] not in _KINDS or fields[2] > BULK:
+    if fields[1] not in KINDS or fields[2] > BULK:
         return None
     return _event(fields, packet[header_size:header_size + fields[12]])
 
@@ -117,7 +117,7 @@ def decode_usbpcap(packet: bytes, stamp: int) -> UsbEvent | None:
 
 def _errno(status: int) -> int:
     """Return a status of Windows as one of Linux."""
-    known = {0: 0, _GONE: UNPLUGGED[0], _CANCELED: KILLED[0]}
+    known = {0: 0, _GONE: UNPLUGGED, _CANCELED: KILLED[0]}
     return known.get(status, -5 if status >> 30 == 3 else 0)
 
 
@@ -170,7 +170,7 @@ def is_record(data: bytes) -> bool:
 def _is_header(fields: tuple[Any, ...]) -> bool:
     (_, kind, transfer, endpoint, device, bus, setup_flag, _, seconds, us, _, size, kept,
      _) = fields
-    return (kind in _KINDS and transfer <= BULK and device < 128
+    return (kind in KINDS and transfer <= BULK and device < 128
             and not endpoint & 0x70 and bus < 4096 and setup_flag in _SETUP_FLAGS
             and seconds >= 0 and 0 <= us < 1_000_000 and kept <= EVENT_MAX_BYTES
             and (kept <= size or transfer == ISO))

@@ -49,12 +49,10 @@ def _run(tool: str, main: Callable[[list[str]], int | None]) -> int:
     except SystemExit as ending:           # argparse has said all
         code = ending.code if isinstance(ending.code, int) else COULD_NOT_RUN
     except (UsageError, ParameterError, PortError, OSError) as error:
-        failure, code = error, exit_code(error)
-    lost = _lost_output()
-    if lost is not None and not isinstance(lost, BrokenPipeError):
-        failure, code = OSError(lost.errno, lost.strerror, 'stdout'), COULD_NOT_RUN
+        failure = error
+    failure = _lost_output() or failure
     if failure is not None:
-        complain(tool, failure, code)
+        code = complain(tool, failure)
     # All is said: what is left must not be interrupted.
     if is_command and signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
         signal.signal(signal.SIGINT, lambda *_: os._exit(code))
@@ -85,7 +83,8 @@ def _lost_output() -> OSError | None:
         sys.stdout.flush()
     except OSError as error:
         _discard(sys.stdout)
-        return error
+        if not isinstance(error, BrokenPipeError):
+            return OSError(error.errno, error.strerror, 'stdout')
     return None
 
 
@@ -94,13 +93,13 @@ def _discard(stream: TextIO) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
-def complain(tool: str, error: Exception, code: int) -> int:
-    """Print one line about an error under the name of the tool, and return `code`."""
+def complain(tool: str, error: Exception) -> int:
+    """Print one line about an error under the name of the tool; return the exit code."""
     try:
         print(f'{tool}: {one_line(error)}', file=sys.stderr, flush=True)
     except OSError:                        # it is full, or its reader has left
         _discard(sys.stderr)
-    return code
+    return exit_code(error)
 
 
 def exit_code(error: Exception) -> int:

@@ -25,8 +25,6 @@ from servobus.examination import ENOUGH_TRAFFIC_S
 from servobus.examination import Examination
 from servobus.examination import GIVE_UP_SILENCE_S
 from servobus.model.models import Models
-from servobus.plain import on_screen
-from servobus.plain import plain
 from servobus.plain import printable
 from servobus.port.port_error import PortError
 from servobus.sources import silence
@@ -52,7 +50,6 @@ from servobus.tools.doctor.issue_report import anonymous
 from servobus.tools.doctor.issue_report import check_report
 from servobus.tools.doctor.issue_report import load_report
 from servobus.tools.doctor.issue_report import make_report
-from servobus.tools.doctor.issue_report import Maker
 from servobus.tools.doctor.issue_report import new_names
 from servobus.tools.doctor.issue_report import NOTHING
 from servobus.tools.doctor.issue_report import SavedReport
@@ -61,6 +58,7 @@ from servobus.tools.doctor.verdict import as_json
 from servobus.tools.doctor.verdict import make_verdict
 from servobus.tools.doctor.verdict import Verdict
 from servobus.tools.dump.screen import has_colours
+from servobus.tools.dump.screen import ProgressLine
 from servobus.tools.run import add_bus_options
 from servobus.tools.run import models_of
 from servobus.tools.run import parse_run
@@ -114,7 +112,7 @@ def _explain(pasted: str) -> int:
     """Say what an error text means; return the exit code."""
     found = explain.find(pasted)
     if found:
-        print('\n'.join(explain.lines(found)))
+        print(explain.in_words(found))
         return DONE
     near = explain.nearest(pasted)
     raise OSError(f'{pasted}: not a known error text; ' + (
@@ -146,6 +144,8 @@ class _DoctorRun:
                                         [self._window, *([flight] if flight else [])])
         self._program = Program(command, options.by, sys.stderr.fileno() if options.json else None
                                 ) if command else None
+        self._progress = ProgressLine(PROGRESS_EVERY_S)
+        self._awaits_finding = self._progress.is_shown or self._program is not None
         self._source = self._program or open_source('dxl_doctor', options.source, options.baud,
                                                     options.adapter)
 
@@ -169,22 +169,33 @@ class _DoctorRun:
         source, examination = self._source, self._examination
         began_s = time.monotonic()
         is_over = True
-        with _Progress(self._program is not None) as progress:
-            try:
-                for chunk in source.chunks():
-                    if chunk is not None:
-                        examination.feed_chunk(chunk, source.wire(chunk.bus))
-                    elif source.is_live:
-                        examination.pass_time(time.monotonic_ns() - ARRIVAL_NS)
-                    now_s = time.monotonic() - began_s
-                    if self._has_enough(now_s):
-                        is_over = False
-                        break
-                    progress.show(examination, now_s)
-            except KeyboardInterrupt:
-                is_over = not source.is_live
+        try:
+            for chunk in source.chunks():
+                if chunk is not None:
+                    examination.feed_chunk(chunk, source.wire(chunk.bus))
+                elif source.is_live:
+                    examination.pass_time(time.monotonic_ns() - ARRIVAL_NS)
+                now_s = time.monotonic() - began_s
+                if self._has_enough(now_s):
+                    is_over = False
+                    break
+                self._show_progress(now_s)
+        except KeyboardInterrupt:
+            is_over = not source.is_live
+        finally:
+            self._progress.clear()
         self._finish(is_over)
         return time.monotonic() - began_s if source.is_live else examination.seconds
+
+    def _show_progress(self, now_s: float) -> None:
+        """Say what is heard meanwhile, and once what is wrong: a program may run for hours."""
+        examination = self._examination
+        if self._awaits_finding and (worst := examination.worst()):
+            self._awaits_finding = False
+            self._progress.clear()
+            print(f'dxl_doctor: {worst}', file=sys.stderr, flush=True)
+        self._progress.show(
+            now_s, lambda: f'dxl_doctor, {now_s:.0f} s, Ctrl-C ends: {examination.summary()}')
 
     def _has_enough(self, now_s: float) -> bool:
         """Tell whether to end; now_s: since the start."""
@@ -238,44 +249,14 @@ class _DoctorRun:
         shown = anonymous(buses)
         verdict = make_verdict(machine.plain_name(options.source, bool(self._command)), shown,
                                seconds, is_timed, [] if self._examination.bytes else [NOTHING])
-        maker = Maker(machine.system(), machine.adapters(ports, options.with_host),
-                      machine.host(options.source, self._command) if options.with_host else (),
-                      options.devices, options.protocol)
-        text = make_report(verdict, shown, seconds, maker, self._window.capture(new_names(buses)))
+        about = [*machine.system(), *machine.adapters(ports, options.with_host)]
+        if options.with_host:
+            about += machine.host(options.source, self._command)
+        text = make_report(verdict, shown, seconds, about, options,
+                           self._window.capture(new_names(buses)))
         with open(options.report, 'w', encoding='utf-8') as file:
             file.write(text)
         print(f'dxl_doctor: the report is in {printable(options.report)}', file=sys.stderr)
-
-
-class _Progress:
-    """
-    What is heard meanwhile, in one line in place, on a terminal; and the first finding.
-
-    That of a program comes without a terminal too: it may run for hours before the answer.
-    """
-
-    def __init__(self, of_program: bool) -> None:
-        self._is_shown = sys.stderr.isatty()
-        self._awaits_finding = self._is_shown or of_program
-        self._next_s = PROGRESS_EVERY_S
-
-    def show(self, examination: Examination, now_s: float) -> None:
-        worst = examination.worst() if self._awaits_finding else ''
-        if worst:
-            self._awaits_finding = False
-            text = f'dxl_doctor: {plain(worst)}'
-            on_screen(sys.stderr, f'\r\033[K{text}\r\n' if self._is_shown else f'{text}\n')
-        if self._is_shown and now_s >= self._next_s:
-            self._next_s = now_s + PROGRESS_EVERY_S
-            text = plain(f'dxl_doctor, {now_s:.0f} s, Ctrl-C ends: {examination.summary()}')
-            on_screen(sys.stderr, f'\r{text[:78]}\033[K\r')       # a program may print there too
-
-    def __enter__(self) -> _Progress:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._is_shown:
-            on_screen(sys.stderr, '\r\033[K')
 
 
 def _print(verdict: Verdict, for_programs: dict[str, Any], options: argparse.Namespace) -> None:

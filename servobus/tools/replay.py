@@ -21,7 +21,6 @@ import stat
 import sys
 import threading
 import time
-from typing import NamedTuple
 from urllib.parse import quote
 
 from msg_defs.event import Chunk
@@ -31,9 +30,6 @@ from servobus.errors import UsageError
 from servobus.plain import printable
 from servobus.port.pty import Pty
 from servobus.port.readable import is_writable
-from servobus.sources.capture import is_capture
-from servobus.sources.capture import lines
-from servobus.sources.capture import Reader
 from servobus.sources.capture import Wire
 from servobus.sources.opening import open_file
 from servobus.sources.source import File
@@ -46,18 +42,11 @@ from servobus.tools.command_line import Parser
 from servobus.tools.run import BAUD
 from servobus.tools.run import refuse_run_word
 
-SPEED_MIN = 1e-6                   # times the original speed
 SETTLE_S = 0.5                     # a reader has opened the port, and sets it up
 LAST_QUESTION_S = 1.5              # at the end: until the last instruction is given up
 LOOP_PAUSE_S = 0.1
 POLL_S = 0.05
 RAW_CHUNK_BYTES = 200              # bytes of a raw file that are sent at once
-
-
-class Played(NamedTuple):
-    chunks: int
-    bytes: int
-    late_s: float                  # at most
 
 
 def _wait_for_readers(outlets: Iterable[Pty]) -> None:
@@ -68,9 +57,15 @@ def _wait_for_readers(outlets: Iterable[Pty]) -> None:
     time.sleep(SETTLE_S)
 
 
-def _play(chunks: Iterable[Chunk], outlets: Mapping[str, Pty], speed: float) -> Played:
-    """Play to the ptys of the buses; speed 0: as fast as the readers take it."""
-    played = Played(0, 0, 0.0)
+def _play(chunks: Iterable[Chunk], outlets: Mapping[str, Pty], speed: float
+          ) -> tuple[int, int, float]:
+    """
+    Play to the ptys of the buses; speed 0: as fast as the readers take it.
+
+    Return how many chunks and bytes that were, and how late at most (s).
+    """
+    count = size = 0
+    late_s = 0.0
     begin: int | None = None
     for chunk in chunks:
         if begin is None:
@@ -82,9 +77,10 @@ def _play(chunks: Iterable[Chunk], outlets: Mapping[str, Pty], speed: float) -> 
         if speed:
             time.sleep(min(max(0.0, due_s - time.monotonic()), threading.TIMEOUT_MAX))
         _write(outlet, chunk.data)
-        played = Played(played.chunks + 1, played.bytes + len(chunk.data),
-                        max(played.late_s, time.monotonic() - due_s))
-    return played
+        count += 1
+        size += len(chunk.data)
+        late_s = max(late_s, time.monotonic() - due_s)
+    return count, size, late_s
 
 
 def _write(outlet: Pty, data: bytes) -> None:
@@ -104,9 +100,6 @@ def _run(arguments: list[str]) -> int:
     parser = _parser()
     refuse_run_word(parser, 'capture', arguments)
     options = parser.parse_args(arguments)
-    if 0 < options.speed < SPEED_MIN:
-        raise UsageError(f'--speed {options.speed:g}: not possible; give 1 for the original '
-                         'timing, 0 for the speed of the reader')
     wires = _wires(options)
     with ExitStack() as stack:
         outlets = {name: stack.enter_context(Pty(_link(options.link, name, len(wires))))
@@ -127,9 +120,9 @@ def _play_file(options: argparse.Namespace, wires: dict[str, Wire],
     print('playing', flush=True)
     while True:
         with _open(options) as file:
-            played = _play(_chunks(file, options.side), outlets, options.speed)
-        print(f'played {played.chunks} chunks, {played.bytes} bytes, '
-              f'at most {1e3 * played.late_s:.1f} ms late', flush=True)
+            count, size, late_s = _play(_chunks(file, options.side), outlets, options.speed)
+        print(f'played {count} chunks, {size} bytes, at most {1e3 * late_s:.1f} ms late',
+              flush=True)
         print_problems('dxl_replay', file.problems())
         if not options.loop:
             break
@@ -153,25 +146,14 @@ def _chunks(file: File, side: str | None) -> Iterator[Chunk]:
 
 def _wires(options: argparse.Namespace) -> dict[str, Wire]:
     """Return the buses to play, by name; looks through the whole capture for them."""
-    mode = os.stat(options.capture).st_mode
-    if stat.S_ISDIR(mode):
-        raise UsageError(f'{options.capture}: a directory; give a capture')
-    if not stat.S_ISREG(mode):
+    if not stat.S_ISREG(os.stat(options.capture).st_mode):
         raise UsageError(f'{options.capture}: not a file, and a capture is read more than once; '
                          'give a file')
     with _open(options) as source:
         chunks = _chunks(source, options.side)
         is_empty = next(chunks, None) is None
-        wires = source.wires
-        if is_capture(options.capture):        # its headers are enough
-            with open(options.capture, 'rb') as file:
-                reader = Reader(line for line in lines(file) if line.startswith(b'#'))
-                list(reader)
-            wires = {name: wire if options.baud is None else wire._replace(baud=options.baud)
-                     for name, wire in reader.wires.items()}
-        else:
-            for _ in chunks:                   # in a pcap file a bus comes with its packets
-                pass
+        source.learn_buses(chunks)
+        wires = {name: source.wire(name) for name in source.wires}
     if is_empty:
         what = 'no bytes' if options.side is None else f'no bytes of --side {options.side}'
         raise UsageError(f'{options.capture}: it holds {what}; give another capture')

@@ -123,7 +123,8 @@ class StartedProgram:
                 time.sleep(WATCH_EVERY_S / JOIN_CHECKS)
                 self._join(strace)
             if self.way == TAP:
-                found = strace.unheard(self.child.pid, set(map(os.path.realpath, self._used())))
+                used = set(map(os.path.realpath, self._marked(USED)))
+                found = strace.unheard(self.child.pid, used)
             else:
                 found = strace.unheard(self.child.pid) if strace.tracer(self.child.pid) \
                     else {STOPPED}
@@ -150,10 +151,6 @@ class StartedProgram:
             self._strace, self._relay = strace.start(
                 self._env, self._name, self._folder.name, process=int(asked[0]))
 
-    def _used(self) -> list[str]:
-        """Return the ports that were heard to be opened."""
-        return self._marked(USED)
-
     def _marked(self, begin: bytes) -> list[str]:
         """Return what the tap has said in lines that begin so."""
         with suppress(OSError):
@@ -164,7 +161,7 @@ class StartedProgram:
     def end(self) -> str:
         """Wait for the program; return why nothing was heard, '' where a port was opened."""
         self.child.wait()
-        if self._relay is not None and not self._used():
+        if self._relay is not None and not self._marked(USED):
             with suppress(subprocess.TimeoutExpired):
                 self._relay.wait(RELAY_WAIT_S)
         why = self.why_unheard()
@@ -178,7 +175,7 @@ class StartedProgram:
 
     def why_unheard(self) -> str:
         """Return why nothing has been heard up to now, '' where a port was opened."""
-        if self._used():
+        if self._marked(USED):
             return ''
         if self.is_traced:                     # from the start or since an import
             return f'{self._command} opened no serial port'

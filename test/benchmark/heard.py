@@ -23,8 +23,8 @@ def main(source, baud):
     print_json({'open': True})
     sys.stdin.readline()
     heard = -1
-    while heard != listener.counters.bytes:          # what is on its way is not lost
-        heard = listener.counters.bytes
+    while heard != listener.bytes:          # what is on its way is not lost
+        heard = listener.bytes
         time.sleep(QUIET_S)
     report = monitor.report(time.monotonic_ns())
     print_json({'bytes': report.counters['Bytes'], 'crc errors': report.counters['CRC Errors']})

@@ -28,37 +28,42 @@ from servobus.tools.dump.screen import COLOURS
 WIDTH, HEIGHT = 80, 23             # the shell takes one of the 24 lines
 WIDTH_MIN = 40
 FULL_FINDINGS_MAX = 3              # findings
+_MESSAGE_LINES, _MEANING_LINES = 2, 3
 _EVIDENCE_LINES = 3                # where there are more lines than HEIGHT; else one
 _UNKNOWN_LINES = 3
 _CYCLES = 2
 _INDENT = '    '
 
 
-class _Lengths(NamedTuple):
-    """How many findings are in full, and how many lines each text of them has; None: all."""
+class _Format(NamedTuple):
+    """findings: how many are in full, None: all, and no text is cut; evidence: lines of it."""
 
+    width: int
+    colours: bool
     findings: int | None = None
-    message: int | None = None
-    evidence: int | None = None
-    meaning: int | None = None
+    evidence: int = 0
+
+    def paint(self, text: str, colour: str | None) -> str:
+        return paint(text, colour if self.colours else None)
 
 
 def screen(verdict: Verdict, colours: bool = False, width: int = WIDTH,
            height: int | None = HEIGHT) -> list[str]:
     """Return the lines, none longer than width columns (40 to WIDTH_MAX); height None: all."""
     width = min(max(WIDTH_MIN, width), WIDTH_MAX)
-    head = [paint(_head(verdict, width), BOLD if colours else None)]
+    form = _Format(width, colours)
+    head = [form.paint(_head(verdict, width), BOLD)]
     if verdict.quiet:
-        return [*head, '', 'Nothing was heard:', *_bullets(verdict.quiet, width)]
+        return [*head, '', 'Nothing was heard:', *_items(verdict.quiet, width, '- ', '  ')]
     if height is None:
         return [*head, '', *_heard(verdict, width), *_items(verdict.cycles, width), '',
-                *_found(verdict, colours, width, _Lengths()), *_unknown(verdict.unknown, width)]
+                *_found(verdict, form), *_unknown(verdict.unknown, width)]
     cycles = [fit(f'  {one}', width) for one in verdict.cycles[:_CYCLES]]
+    evidence = _EVIDENCE_LINES if height > HEIGHT else 1
     for is_joined, most in ((False, FULL_FINDINGS_MAX),
                             *((True, most) for most in range(FULL_FINDINGS_MAX, 0, -1))):
         heard = _heard(verdict, width, is_joined)
-        wrong = _found(verdict, colours, width, _Lengths(    # the next step is never cut
-            most, 2, _EVIDENCE_LINES if height > HEIGHT else 1, 3))
+        wrong = _found(verdict, _Format(width, colours, most, evidence))
         room = height - len(head) - len(heard) - len(cycles) - len(wrong) - 2
         if room >= 0:
             break
@@ -86,93 +91,87 @@ def _heard(verdict: Verdict, width: int, is_joined: bool = False) -> list[str]:
     return [fit(heard, width), *_items(texts, width)]
 
 
-def _found(verdict: Verdict, colours: bool, width: int, lengths: _Lengths) -> list[str]:
-    """Return the lines of what is wrong or may be."""
-    not_sure = _not_sure(verdict.not_sure, colours, width, lengths)
-    if not verdict.wrong:
-        return not_sure or [_well(colours)]
-    wrong = _wrong(verdict.wrong, colours, width, lengths)
-    if verdict.wrong[0].level is not Level.OK:
+def _found(verdict: Verdict, form: _Format) -> list[str]:
+    """Return the lines of what is wrong or may be; advice comes last."""
+    well = [form.paint('Nothing wrong that listening can find', GREEN)]
+    not_sure, wrong = _not_sure(verdict.not_sure, form), _wrong(verdict.wrong, form)
+    if wrong and verdict.wrong[0].level is not Level.OK:
         return [*wrong, *not_sure]
-    return [*(not_sure or [_well(colours)]), *wrong]
+    return [*(not_sure or well), *wrong]
 
 
-def _well(colours: bool) -> str:
-    return paint('Nothing wrong that listening can find', GREEN if colours else None)
-
-
-def _not_sure(points: Sequence[OpenPoint], colours: bool, width: int,
-              lengths: _Lengths) -> list[str]:
+def _not_sure(points: Sequence[OpenPoint], form: _Format) -> list[str]:
+    shown = points[:form.findings]
     lines = ['Not sure:'] if points else []
-    for one in points[:lengths.findings]:
-        rule = f': {one.rule.replace("_", " ")}' if one.rule else ''
-        lines += [*_heading(f'{one.who}{rule}', Level.WARN, colours, width, lengths),
-                  *_wrapped(one.message, width, lengths.message),
-                  *_wrapped(f'Try: {one.step}', width)]
-    left = len(points) - len(points[:lengths.findings])
-    if left:
-        lines.append(f'  and {left} more: --full lists all')
-    return lines
+    for one in shown:
+        lines += [*_heading(f'{one.who}{_cause(one.rule)}', Level.WARN, form),
+                  *_wrapped(one.message, form, _MESSAGE_LINES),
+                  *_wrapped(f'Try: {one.step}', form)]       # the next step is never cut
+    return lines + _more(len(points) - len(shown))
 
 
-def _wrong(entries: Sequence[Trouble], colours: bool, width: int, lengths: _Lengths) -> list[str]:
+def _wrong(entries: Sequence[Trouble], form: _Format) -> list[str]:
+    if not entries:
+        return []
     lines = ['Advice:' if entries[0].level is Level.OK else 'Wrong:']
-    in_full = entries[:lengths.findings]
+    in_full = entries[:form.findings]
     for number, entry in enumerate(in_full, 1):
-        lines += _in_full(number, entry, colours, width, lengths)
+        lines += _in_full(number, entry, form)
     rest = entries[len(in_full):]
     shown = rest if len(rest) <= FULL_FINDINGS_MAX else rest[:FULL_FINDINGS_MAX - 1]
-    lines += [fit(f'  {_title(number, entry)}: {entry.message}', width)
+    lines += [fit(f'  {_title(number, entry)}: {entry.message}', form.width)
               for number, entry in enumerate(shown, len(in_full) + 1)]
-    if len(shown) < len(rest):
-        lines.append(f'  and {len(rest) - len(shown)} more: --full lists all')
-    return lines
+    return lines + _more(len(rest) - len(shown))
 
 
-def _in_full(number: int, entry: Trouble, colours: bool, width: int,
-             lengths: _Lengths) -> list[str]:
-    lines = _heading(_title(number, entry), entry.level, colours, width, lengths)
-    lines += _wrapped(entry.message, width, lengths.message)
+def _more(count: int) -> list[str]:
+    return [f'  and {count} more: --full lists all'] if count else []
+
+
+def _in_full(number: int, entry: Trouble, form: _Format) -> list[str]:
+    lines = [*_heading(_title(number, entry), entry.level, form),
+             *_wrapped(entry.message, form, _MESSAGE_LINES)]
     if entry.evidence and entry.rule:
-        lines += _wrapped(f'Evidence: {entry.evidence}', width, lengths.evidence)
+        lines += _wrapped(f'Evidence: {entry.evidence}', form, form.evidence)
     elif entry.evidence:               # the error of a program
-        lines += _wrapped(f'This means: {entry.evidence}', width, lengths.meaning)
+        lines += _wrapped(f'This means: {entry.evidence}', form, _MEANING_LINES)
     return lines
 
 
-def _heading(title: str, level: Level, colours: bool, width: int, lengths: _Lengths) -> list[str]:
-    lines = _items([title], width) if lengths == _Lengths() else [fit(f'  {title}', width)]
-    return [paint(line, COLOURS.get(level) if colours else None) for line in lines]
+def _heading(title: str, level: Level, form: _Format) -> list[str]:
+    lines = [fit(f'  {title}', form.width)] if form.findings else _items([title], form.width)
+    return [form.paint(line, COLOURS.get(level)) for line in lines]
 
 
 def _title(number: int, entry: Trouble) -> str:
     level = {Level.OK: 'advice', Level.WARN: 'warning'}.get(entry.level, entry.level.name.lower())
-    cause = f': {entry.rule.replace("_", " ")}' if entry.rule else ''
-    return f'{number} {level}, {entry.who}{cause}'
+    return f'{number} {level}, {entry.who}{_cause(entry.rule)}'
+
+
+def _cause(rule: str) -> str:
+    return f': {rule.replace("_", " ")}' if rule else ''
 
 
 def _unknown(unknown: Sequence[str], width: int, most: int | None = None) -> list[str]:
     if not unknown:
         return []
-    lines = _bullets(unknown, width)
+    lines = _items(unknown, width, '- ', '  ')
     if most is not None and len(lines) > most:
         lines = [*lines[:most - 1], '  and more: --full lists all']
     return ['', 'Cannot tell:', *lines]
 
 
-def _bullets(texts: Sequence[str], width: int) -> list[str]:
-    return [line for text in texts
-            for line in textwrap.wrap(text, width, initial_indent='- ', subsequent_indent='  ')]
+def _items(texts: Sequence[str], width: int, first: str = '  ', others: str = _INDENT
+           ) -> list[str]:
+    """Break texts into lines; first and others: how the lines of each begin."""
+    return [line for text in texts for line in textwrap.wrap(
+        text, width, initial_indent=first, subsequent_indent=others)]
 
 
-def _items(texts: Sequence[str], width: int) -> list[str]:
-    return [line for text in texts
-            for line in textwrap.wrap(text, width, initial_indent='  ', subsequent_indent=_INDENT)]
-
-
-def _wrapped(text: str, width: int, most: int | None = None) -> list[str]:
-    """Break a text into at most so many lines; None: as many as it needs."""
-    lines = textwrap.wrap(text, width - len(_INDENT))
-    if most is not None and len(lines) > most:
-        lines = [*lines[:most - 1], fit(' '.join(lines[most - 1:]), width - len(_INDENT))]
+def _wrapped(text: str, form: _Format, most: int = 0) -> list[str]:
+    """Break a text into at most so many lines, where texts are cut; 0: as many as it needs."""
+    width = form.width - len(_INDENT)
+    lines = textwrap.wrap(text, width)
+    if form.findings and most and len(lines) > most:
+        lines = [*lines[:most - 1], fit(' '.join(lines[most - 1:]), width)]
     return [_INDENT + line for line in lines]

@@ -10,7 +10,6 @@ A number is a return code only where nothing else is pasted, or where the text s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from difflib import SequenceMatcher
 from functools import cache
 from importlib import resources
 import re
@@ -19,9 +18,10 @@ from typing import NamedTuple
 
 import yaml
 
+from servobus import errors
+
 _FILE = 'errors.yaml'
 _PART_MIN_LENGTH = 5               # characters of a pasted part that may stand for a text
-_LIKENESS_MIN = 0.6                # alike enough for a guess, 0 to 1
 _WIDTH = 80
 # What stands before a return code; "position error" is a measurement.
 _RESULT = (r'(?:result|(?<=[a-z])error|(?<![a-z])'
@@ -88,29 +88,28 @@ def _code(code: int) -> str:
 
 def nearest(pasted: str) -> str:
     """Return the known text that is most like what was pasted, '' if none is."""
-    def likeness(text: str) -> float:
-        return SequenceMatcher(None, _plain(text), _plain(pasted)).ratio()
-    best = max((one.text for one in explanations()), key=likeness)
-    return best if likeness(best) >= _LIKENESS_MIN else ''
+    texts = {_plain(one.text): one.text for one in explanations()}
+    return texts.get(errors.nearest(_plain(pasted), texts), '')
 
 
 def _plain(text: str) -> str:
     return ' '.join(text.casefold().split())
 
 
-def lines(found: Sequence[Explanation]) -> list[str]:
+def in_words(found: Sequence[Explanation]) -> str:
     """Return what is printed."""
-    text: list[str] = []
+    paragraphs = []
     for one in found:
-        text += [*([''] if text else []), one.text, f'  printed by {", ".join(one.says)}', '',
-                 *_paragraph(one.means)]
+        paragraphs += [f'{one.text}\n  printed by {", ".join(one.says)}', _paragraph(one.means)]
         if one.findings:
             names = ', '.join(name.replace('_', ' ') for name in one.findings)
-            text += ['', *_paragraph(f'Possible causes, the likeliest first: {names}.')]
-        text += ['', *_paragraph(one.do)] if one.do else []
-    listen = 'dxl_doctor run -- COMMAND listens, and says which it is.'
-    return [*text, '', *_paragraph(listen)] if any(one.findings for one in found) else text
+            paragraphs.append(_paragraph(f'Possible causes, the likeliest first: {names}.'))
+        if one.do:
+            paragraphs.append(_paragraph(one.do))
+    if any(one.findings for one in found):
+        paragraphs.append(_paragraph('dxl_doctor run -- COMMAND listens, and says which it is.'))
+    return '\n\n'.join(paragraphs)
 
 
-def _paragraph(text: str) -> list[str]:
-    return textwrap.wrap(text, _WIDTH, initial_indent='  ', subsequent_indent='  ')
+def _paragraph(text: str) -> str:
+    return textwrap.fill(text, _WIDTH, initial_indent='  ', subsequent_indent='  ')

@@ -10,6 +10,7 @@ limit.
 """
 from __future__ import annotations
 
+import argparse
 from base64 import b64decode
 from base64 import b64encode
 from binascii import Error as Base64Error
@@ -17,6 +18,7 @@ import bz2
 from collections.abc import Callable
 from collections.abc import Iterator
 from collections.abc import Sequence
+from contextlib import suppress
 import gzip
 import io
 import json
@@ -33,6 +35,7 @@ from msg_defs.event import Chunk
 from servobus.doctor.finding_log import BusSummary
 from servobus.errors import UsageError
 from servobus.plain import printable
+from servobus.sources.capture import check_new
 from servobus.sources.capture import lines
 from servobus.sources.capture import Reader
 from servobus.sources.capture import Wire
@@ -62,31 +65,14 @@ _PACKED: tuple[tuple[bytes, Callable[[io.BytesIO], Any]], ...] = (
     (b'\xfd7zXZ', lzma.LZMAFile), (b'PK\x03\x04', lambda file: _first_of_zip(file)))
 
 
-class Maker(NamedTuple):
-    """What a report says of the machine and the command line."""
-
-    system: Sequence[str]
-    adapters: Sequence[str]
-    host: Sequence[str]                # what is personal; empty unless it was asked for
-    devices: Sequence[str]             # as given by --devices
-    protocol: str
-
-
 def check_report(path: str | None) -> None:
-    """Raise UsageError for a file that must not be written over."""
+    """Raise UsageError or ParameterError for what must not be written over."""
     if path is None:
         return
     folder = os.path.dirname(path) or '.'
     if not os.access(folder, os.W_OK):
         raise UsageError(f'--report {path}: cannot write to {folder}; give another name')
-    if not os.path.exists(path):
-        return
-    if not os.path.isfile(path):
-        raise UsageError(f'--report {path}: is not a file; give another name')
-    with open(path, 'rb') as file:
-        head = file.read(len(REPORT))
-    if head and head != REPORT.encode():
-        raise UsageError(f'--report {path}: exists and is not a report; give another name')
+    check_new(path, lambda begin: begin.startswith(REPORT.encode()), 'report', '--report')
 
 
 def anonymous(buses: Sequence[BusSummary]) -> list[BusSummary]:
@@ -102,13 +88,13 @@ def new_names(buses: Sequence[BusSummary]) -> dict[str, str]:
     return {bus.report.name: f'bus{number}' for number, bus in enumerate(buses, 1)}
 
 
-def make_report(verdict: Verdict, buses: Sequence[BusSummary], seconds: float, maker: Maker,
-                capture: bytes) -> str:
-    """Return the text of a report; verdict and buses are those of the names in it."""
+def make_report(verdict: Verdict, buses: Sequence[BusSummary], seconds: float,
+                about: Sequence[str], options: argparse.Namespace, capture: bytes) -> str:
+    """Return the text of a report; about: lines about the machine; options: of the command."""
     stored = {'verdict': verdict._asdict(), 'json': as_json(verdict, buses, seconds),
-              'devices': list(maker.devices), 'protocol': maker.protocol}
+              'devices': options.devices, 'protocol': options.protocol}
     text = [f'{REPORT} {VERSION}', *_ABOUT, '', *screen(verdict, height=None), '', 'System:']
-    text += [f'  {printable(line)}' for line in (*maker.system, *maker.adapters, *maker.host)]
+    text += [f'  {printable(line)}' for line in about]
     for bus in buses:
         text += ['', *_figures(bus)]
     text += ['', VERDICT, json.dumps(stored), '', CAPTURE, *packed(capture), END]
@@ -148,11 +134,11 @@ class SavedReport(NamedTuple):
     verdict: Verdict | None
     as_json: dict[str, Any] | None
     logged: frozenset[tuple[str, str, str]] | None
-    devices: tuple[str, ...]
+    devices: list[str]
     protocol: str
-    chunks: tuple[Chunk, ...]
+    chunks: list[Chunk]
     wires: dict[str, Wire]
-    problems: tuple[str, ...]
+    problems: list[str]
 
 
 def load_report(path: str) -> SavedReport | None:
@@ -171,25 +157,22 @@ def load_report(path: str) -> SavedReport | None:
     if lost:
         problems.append(f'{lost} blocks of the capture are damaged and were left out')
     reader = Reader(lines(io.BytesIO(capture)))
-    chunks = tuple(reader)
+    chunks = list(reader)
     stored = stored or {}
     as_json = stored.get('json')
     return SavedReport(_verdict(stored), as_json if isinstance(as_json, dict) else None,
-                       _logged_findings(as_json), tuple(_texts(stored.get('devices'))),
-                       str(stored.get('protocol', '')), chunks, reader.wires, tuple(problems))
+                       _logged_findings(as_json), _texts(stored.get('devices')),
+                       str(stored.get('protocol', '')), chunks, reader.wires, problems)
 
 
 def _unpacked(data: bytes) -> bytes:
     for front, opener in _PACKED:
         if data.startswith(front):
             unpacked = bytearray()
-            try:
-                with opener(io.BytesIO(data)) as file:
-                    while len(unpacked) < FILE_MAX_BYTES and (part := file.read1(1 << 16)):
-                        unpacked += part
-            except (OSError, EOFError, ValueError, zlib.error, lzma.LZMAError,
-                    zipfile.BadZipFile, NotImplementedError, RuntimeError):
-                pass                   # what came until then counts
+            # Where it is damaged, each kind raises what it likes; what came until then counts.
+            with suppress(Exception), opener(io.BytesIO(data)) as file:
+                while len(unpacked) < FILE_MAX_BYTES and (part := file.read1(1 << 16)):
+                    unpacked += part
             return bytes(unpacked)
     return data
 
@@ -246,20 +229,20 @@ def _verdict(stored: dict[str, Any]) -> Verdict | None:
         return None
     try:
         return Verdict(
-            _text(verdict['source']), tuple(_texts(verdict['head'])),
+            _text(verdict['source']), _texts(verdict['head']),
             _rows(DeviceGroup, verdict['heard']), _rows(Trouble, verdict['wrong']),
-            tuple(_texts(verdict['unknown'])), tuple(_texts(verdict['quiet'])),
-            _text(verdict.get('protocol', '')), tuple(_texts(verdict.get('cycles'))),
+            _texts(verdict['unknown']), _texts(verdict['quiet']),
+            _text(verdict.get('protocol', '')), _texts(verdict.get('cycles')),
             _rows(OpenPoint, verdict.get('not_sure', [])))
     except (KeyError, TypeError, ValueError):
         return None
 
 
-def _rows(kind: type[Any], rows: list[Any]) -> tuple[Any, ...]:
+def _rows(kind: type[Any], rows: list[Any]) -> list[Any]:
     """Return rows of values as what they were; each has a text but `level`."""
-    return tuple(kind(*[Level(value) if name == 'level' else _text(value)
-                        for name, value in zip(kind._fields, row, strict=True)])
-                 for row in rows[:_LIST_MAX_LENGTH])
+    return [kind(*[Level(value) if name == 'level' else _text(value)
+                   for name, value in zip(kind._fields, row, strict=True)])
+            for row in rows[:_LIST_MAX_LENGTH]]
 
 
 def _logged_findings(as_json: Any) -> frozenset[tuple[str, str, str]] | None:

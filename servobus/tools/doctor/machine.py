@@ -15,7 +15,6 @@ import getpass
 from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version
 import os
-from pathlib import Path
 import platform
 import re
 import shlex
@@ -24,10 +23,11 @@ import socket
 from serial.tools import list_ports
 
 from servobus.port.port_users import tty_of
+from servobus.sources.serial_driver import SYS
+from servobus.sources.source_name import PREFIXES
 
 _PACKAGES = ('mecarover_serial', 'dxl-doctor', 'pyserial', 'crcmod-plus', 'dynamixel-sdk',
              'feetech-servo-sdk', 'lerobot', 'pypot')
-_SYS = Path('/sys')
 
 
 def system() -> list[str]:
@@ -51,26 +51,22 @@ def plain_name(source: str, is_program: bool) -> str:
     """Return the kind of a source, without path, serial number or command line."""
     if is_program:
         return 'a program that was run'
-    port = device(source)
-    if port:
-        prefix = 'usb:' if source.startswith('usb:') else ''
+    prefix = next(filter(source.startswith, PREFIXES), '')
+    if port := device(source):
         return prefix + tty_of(port)
-    for kind in ('tap:', 'usb:'):
-        if source.startswith(kind):
-            return kind
-    return f'{source.partition("://")[0]}://' if '://' in source else 'a file'
+    scheme, mark, _ = source.partition('://')
+    return prefix or (scheme + mark if mark else 'a file')
 
 
-def adapters(ports: Sequence[str], with_serial: bool = False, root: Path = _SYS) -> list[str]:
+def adapters(ports: Sequence[str], with_serial: bool) -> list[str]:
     """Return maker, product, driver and latency timer of the adapters of these ports."""
     known = {one.device: one for one in list_ports.comports()}
-    return [_adapter(os.path.realpath(port), known, with_serial, root) for port in ports]
+    return [_adapter(os.path.realpath(port), known, with_serial) for port in ports]
 
 
-def _adapter(port: str, known: dict[str, list_ports.ListPortInfo], with_serial: bool,
-             root: Path) -> str:
+def _adapter(port: str, known: dict[str, list_ports.ListPortInfo], with_serial: bool) -> str:
     name = os.path.basename(port)
-    tty = root / 'class/tty' / name / 'device'
+    tty = SYS / 'class/tty' / name / 'device'
     parts = []
     info = known.get(port)
     if info is not None and info.vid is not None:

@@ -10,7 +10,6 @@ there is no fcntl, termios or pty, too.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
 from collections.abc import Sequence
 import json
 import ntpath
@@ -37,6 +36,7 @@ from servobus.plain import printable
 from servobus.port.port_users import holders
 from servobus.port.port_users import is_running
 from servobus.sources.capture import Wire
+from servobus.sources.source import Chunks
 from servobus.sources.source import Source
 from servobus.sources.tap_reader import TapReader
 from servobus.sources.tap_reader import TapRecord
@@ -192,7 +192,7 @@ class Program(Source):
     def _remember_stop(self, *_: object) -> None:
         self._was_stopped = True
 
-    def chunks(self) -> Iterator[Chunk | None]:
+    def chunks(self) -> Chunks:
         """Yield what it reads and writes, until it ends; None when nothing came for a moment."""
         while self._child.poll() is None:
             yield from self._some(self._reader.wait(TICK_S))
@@ -243,7 +243,7 @@ class Program(Source):
             users=tuple(one for port in self.ports
                         for one in self._others.get(ntpath.basename(port), ())))
 
-    def _some(self, records: list[TapRecord]) -> Iterator[Chunk | None]:
+    def _some(self, records: list[TapRecord]) -> Chunks:
         yield from filter(None, map(self._chunk, records))
         if not records:
             yield None

@@ -85,14 +85,14 @@ class Verdict(NamedTuple):
     """All that is shown. head: what of the source is known, in parts; quiet: why no byte came."""
 
     source: str
-    head: tuple[str, ...]
-    heard: tuple[DeviceGroup, ...]
-    wrong: tuple[Trouble, ...]
-    unknown: tuple[str, ...]
-    quiet: tuple[str, ...]
+    head: Sequence[str]
+    heard: Sequence[DeviceGroup]
+    wrong: Sequence[Trouble]
+    unknown: Sequence[str]
+    quiet: Sequence[str]
     protocol: str = ''             # what the buses speak, in words; '' unheard
-    cycles: tuple[str, ...] = ()   # where the time of a cycle goes
-    not_sure: tuple[OpenPoint, ...] = ()
+    cycles: Sequence[str] = ()   # where the time of a cycle goes
+    not_sure: Sequence[OpenPoint] = ()
 
     @property
     def code(self) -> int:
@@ -135,14 +135,13 @@ def make_verdict(source: str, buses: Sequence[BusSummary], seconds: float, is_ti
         if not (quiet or not_sure or any(entry.level > Level.OK for entry in wrong)):
             not_sure.append(_LIBRARY_ERROR)
         wrong.append(ended)
-    return Verdict(printable(source), (*map(os.path.basename, ports[:PORTS_NAMED_MAX]),
-                                       *_head(buses, seconds, is_timed)),
-                   tuple(one for bus in buses for one in _heard(bus)),
-                   tuple(sorted(wrong, key=lambda entry: -entry.level)), tuple(unknown),
-                   tuple(quiet), ' and '.join(dict.fromkeys(
-                       bus.report.protocol for bus in buses if bus.report.protocol)),
-                   tuple(_cycle(bus) for bus in buses if is_timed and bus.report.cycle),
-                   tuple(not_sure))
+    return Verdict(
+        printable(source),
+        [*map(os.path.basename, ports[:PORTS_NAMED_MAX]), *_head(buses, seconds, is_timed)],
+        [one for bus in buses for one in _heard(bus)],
+        sorted(wrong, key=lambda entry: -entry.level), unknown, quiet,
+        ' and '.join(dict.fromkeys(bus.report.protocol for bus in buses if bus.report.protocol)),
+        [_cycle(bus) for bus in buses if is_timed and bus.report.cycle], not_sure)
 
 
 def _cycle(bus: BusSummary) -> str:
@@ -162,7 +161,7 @@ def _ms(value: float) -> str:
     return f'{value:.2g}' if value < 10 else f'{value:.0f}'
 
 
-def _head(buses: Sequence[BusSummary], seconds: float, is_timed: bool) -> tuple[str, ...]:
+def _head(buses: Sequence[BusSummary], seconds: float, is_timed: bool) -> list[str]:
     reports = [bus.report for bus in buses]
     rates = sorted({report.baud for report in reports})
     parts = [f'{" and ".join(map(str, rates))} baud'] if any(rates) else []
@@ -175,7 +174,7 @@ def _head(buses: Sequence[BusSummary], seconds: float, is_timed: bool) -> tuple[
     loads = [metric.value or 0.0 for report in reports for metric in report.metrics
              if metric.name == 'bus_load' and report.stamp - report.started > LOAD_MIN_NS
              ] if is_timed else []
-    return (*parts, *([f'load {max(loads):.0f} %'] if loads else []))
+    return parts + ([f'load {max(loads):.0f} %'] if loads else [])
 
 
 # --- heard ---------------------------------------------------------------------------------------
@@ -214,16 +213,12 @@ def _wrong(bus: BusSummary) -> list[Trouble]:
     return found
 
 
-def _named(bus: BusSummary) -> set[int | None]:
-    findings = [*bus.report.findings, *(one.finding for one in bus.logged)]
-    return {one.device for one in findings}.union(*(one.covers for one in findings))
-
-
 def _unnamed(bus: BusSummary) -> list[DeviceReport]:
     """Return the devices that are not well, and no finding says why."""
     if any(one.finding.level is Level.ERROR or _explains_loss(one.finding) for one in bus.logged):
         return []                      # that of other devices follows from it, as a rule
-    named = _named(bus)
+    findings = [*bus.report.findings, *(one.finding for one in bus.logged)]
+    named = {one.device for one in findings}.union(*(one.covers for one in findings))
     return [one for one in bus.report.devices if one.level in _CODES and one.id not in named]
 
 
@@ -268,8 +263,8 @@ def as_json(verdict: Verdict, buses: Sequence[BusSummary], seconds: float) -> di
     return {
         'source': verdict.source, 'seconds': round(seconds, 3), 'exit': verdict.code,
         'wrong': [[one.level.name, one.who, one.rule, one.message] for one in verdict.wrong],
-        'not_sure': [list(one) for one in verdict.not_sure],
-        'nothing_heard': list(verdict.quiet), 'cannot_tell': list(verdict.unknown),
+        'not_sure': verdict.not_sure, 'nothing_heard': verdict.quiet,
+        'cannot_tell': verdict.unknown,
         'buses': [bus_data(bus.report) | {
             'devices': [device_data(device) for device in bus.report.devices],
             'findings': [_finding_json(one, bus) for one in bus.logged]} for bus in buses]}

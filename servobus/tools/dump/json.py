@@ -10,8 +10,8 @@ from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_packet import Packet
 from servobus.bus.evidence import text_of
 from servobus.model.control_table import UNKNOWN
+from servobus.tools.dump.decode import identity_of
 from servobus.tools.dump.decode import Part
-from servobus.tools.dump.decode import PingAnswer
 from servobus.tools.dump.listing import Entry
 from servobus.tools.dump.listing import NO_REQUEST
 from servobus.tools.dump.text_format import error_words
@@ -20,8 +20,8 @@ from servobus.tools.dump.text_format import packet_name
 DECIMALS = 9                       # finer than any register
 
 
-def json_line(bus: str, stamp_us: int, packet: Packet, entry: Entry, parts: Sequence[Part],
-              identity: PingAnswer | None) -> str:
+def json_line(bus: str, stamp_us: int, packet: Packet, entry: Entry, parts: Sequence[Part]
+              ) -> str:
     """Return one packet; stamp_us as it is to be shown."""
     record: dict[str, Any] = {
         'stamp': stamp_us / 1e6, 'offset': packet.offset, 'bus': bus, 'id': packet.id,
@@ -37,6 +37,7 @@ def json_line(bus: str, stamp_us: int, packet: Packet, entry: Entry, parts: Sequ
         record['sure'] = entry.is_sure
     if packet.error:
         record['error_text'] = error_words(packet.error)
+    identity = identity_of(entry)
     if identity is not None:
         record['identity'] = identity._asdict()
     if entry.request.option and packet.error is None:

@@ -91,10 +91,6 @@ class _RecentBytes:
     def cut(self, begin: int, end: int) -> tuple[bytes, bytes]:
         """Return what is before a frame, and the frame (stream offsets); both are over then."""
         data, first, last = self._data, begin - self._begin, end - self._begin
-        if first == 0 and last == len(data):   # a chunk that is a packet
-            self._data = bytearray()
-            self._begin = end
-            return b'', bytes(data)
         first, last = max(0, first), max(0, last)
         before, wire = bytes(data[:first]), bytes(data[first:last])
         del data[:last]
@@ -167,10 +163,9 @@ class Listing(BusDecoder):
         super().process_frames([frame], stamp, received, side)
         self._is_damage_entered = True
         _, _, kind, number, code, data, _ = frame
-        before, wire = self._recent[side].cut(frame[0], min(frame[1], following))
-        self._on_entry(Entry(DAMAGED, self._newest, device=self.device(number), data=data,
-                             code=STATUS if kind == IS_STATUS else code, reason=flaw.reason,
-                             side=side, wire=wire, before=before))
+        self._enter(DAMAGED, side, frame[0], min(frame[1], following),
+                    device=self.device(number), data=data,
+                    code=STATUS if kind == IS_STATUS else code, reason=flaw.reason)
 
     def _enter_good(self, frame: Frame, stamp: int, received: int, side: str) -> None:
         flaw = frame[6]
@@ -183,8 +178,7 @@ class Listing(BusDecoder):
         super().process_frames([frame], stamp, received, side)
         self._enter_missed(plan, counts, self._newest)
         if self._is_plain:
-            before, wire = self._recent[side].cut(frame[0], frame[1])
-            self._on_entry(Entry(PACKET, self._newest, side=side, wire=wire, before=before))
+            self._enter(PACKET, side, frame[0], frame[1])
         else:
             fresh = self.evidence.incidents_added - noted
             self._enter_packet(frame, self.evidence.newest_incidents(fresh), side)
@@ -207,10 +201,13 @@ class Listing(BusDecoder):
                 wire += body_crc(wire).to_bytes(_CRC_SIZE, 'little')
                 blocks = tuple(split_combined(wire, request.accesses))
         is_sure = packet.error is None or not self.tracker.is_doubtful
-        before, wire = self._recent[side].cut(frame[0], frame[1])
-        self._on_entry(Entry(PACKET, self._newest, packet, request, self.device(packet.id),
-                             blocks, notes, is_sure=is_sure, side=side, wire=wire,
-                             before=before))
+        self._enter(PACKET, side, frame[0], frame[1], packet=packet, request=request,
+                    device=self.device(packet.id), blocks=blocks, notes=notes, is_sure=is_sure)
+
+    def _enter(self, kind: str, side: str, begin: int, end: int, **facts: Any) -> None:
+        """Hand on what is between these offsets of a side; facts: the other fields of Entry."""
+        before, wire = self._recent[side].cut(begin, end)
+        self._on_entry(Entry(kind, self._newest, side=side, wire=wire, before=before, **facts))
 
     def _enter_much_noise(self, has_frames: bool, stamp: int, side: str) -> None:
         """Enter noise without any packet after it, as at a wrong baud rate."""

@@ -21,7 +21,7 @@ from msg_defs.diagnostics import metric_status
 from msg_defs.diagnostics import Status
 from msg_defs.diagnostics import topic_names
 from msg_defs.event import Chunk
-from servobus.bus.report import BusReport
+from msg_defs.units import NS_PER_S
 from servobus.errors import UsageError
 from servobus.monitor import Monitor
 from servobus.sources.source import Source
@@ -30,9 +30,8 @@ from servobus.status import statuses_of
 from servobus.status import timing_metrics
 
 NODE = 'dxl_monitor'
-REPORT_NS, TIMING_NS = 500_000_000, 1_000_000_000      # as the node does
+REPORT_NS, TIMING_NS = NS_PER_S // 2, NS_PER_S         # as the node does
 JOINTS_NS = 20_000_000
-_NS = 1_000_000_000
 _MAGIC = b'\x89MCAP0\r\n'
 
 
@@ -65,24 +64,24 @@ class McapRecording:
         later = began.wall - began.stamp
         if now >= self._next_report:
             self._next_report = now + REPORT_NS
-            self._write_reports(now, now + later, [
-                (bus if len(monitors) > 1 else '',
-                 PortState(self._source.wire(bus).port, '', (), bus=bus),
-                 monitor.report(now)) for bus, monitor in monitors.items()])
+            self._write_reports(now, later, monitors)
         if now >= self._next_joints:
             self._next_joints = now + JOINTS_NS
             self._write_joints(monitors, later)
 
-    def _write_reports(self, now: int, wall: int,
-                       reports: Sequence[tuple[str, PortState, BusReport]]) -> None:
-        self._put_statuses('/dxl/diagnostics', [
-            status for label, port, report in reports
-            for status in statuses_of(NODE, label, report, port, True)], wall)
+    def _write_reports(self, now: int, later: int, monitors: Mapping[str, Monitor]) -> None:
+        statuses, metrics = [], []
+        for bus, monitor in monitors.items():
+            port = PortState(self._source.wire(bus).port, '', (), bus=bus)
+            report = monitor.report(now)
+            label = bus if len(monitors) > 1 else ''
+            statuses += statuses_of(NODE, label, report, port, True)
+            metrics += timing_metrics(NODE, report, port)
+        self._put_statuses('/dxl/diagnostics', statuses, now + later)
         if now >= self._next_timing:
             self._next_timing = now + TIMING_NS
-            self._put_statuses('/dxl/timing', [
-                metric_status(NODE, one) for _, port, report in reports
-                for one in timing_metrics(NODE, report, port)], wall)
+            self._put_statuses('/dxl/timing', [metric_status(NODE, one) for one in metrics],
+                               now + later)
 
     def _write_joints(self, monitors: Mapping[str, Monitor], later: int) -> None:
         parts = topic_names(list(monitors)) if len(monitors) > 1 else {}
@@ -117,7 +116,8 @@ class McapRecording:
 
     def _put(self, topic: str, kind: str, wall: int, **fields: Any) -> None:
         wall = max(0, wall)
-        stamp = self._make('builtin_interfaces/msg/Time', sec=wall // _NS, nanosec=wall % _NS)
+        sec, nanosec = divmod(wall, NS_PER_S)
+        stamp = self._make('builtin_interfaces/msg/Time', sec=sec, nanosec=nanosec)
         message = self._make(
             kind, header=self._make('std_msgs/msg/Header', stamp=stamp, frame_id=''), **fields)
         if topic not in self._topics:
@@ -134,6 +134,6 @@ class McapRecording:
         self._folder.cleanup()
 
 
-def is_mcap(path: str | Path) -> bool:
-    with open(path, 'rb') as file:
-        return file.read(len(_MAGIC)) == _MAGIC
+def is_mcap(begin: bytes) -> bool:
+    """Tell whether a file that begins so is an MCAP file."""
+    return begin.startswith(_MAGIC)

@@ -16,7 +16,6 @@ from servobus.bus.decoder import Settings
 from servobus.errors import UsageError
 from servobus.model.models import Models
 from servobus.monitor import Monitor
-from servobus.tools.dump.decode import identity_of
 from servobus.tools.dump.decode import parts_of
 from servobus.tools.dump.listing import Entry
 from servobus.tools.dump.listing import Listing
@@ -89,8 +88,7 @@ def _meaning(packet: bytes, settings: Settings, models: Models) -> list[str]:
     found: list[str] = []
 
     def show(entry: Entry) -> None:
-        mark, _, number, name, words = columns_of(entry, parts_of(entry, listing),
-                                                  identity_of(entry))
+        mark, _, number, name, words = columns_of(entry, parts_of(entry, listing))
         found.append(f'{mark} {number} {name} {words}'.rstrip())
 
     listing = Listing(models, show, settings)

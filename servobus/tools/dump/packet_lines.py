@@ -18,7 +18,6 @@ from msg_defs.frame import OPEN
 from servobus.bus.device import Device
 from servobus.model.control_table import UNKNOWN
 from servobus.tools.dump.decode import Part
-from servobus.tools.dump.decode import PingAnswer
 from servobus.tools.dump.listing import DAMAGED
 from servobus.tools.dump.listing import Entry
 from servobus.tools.dump.listing import MISSED
@@ -61,10 +60,9 @@ class Lines:
         self._last = 0
         self._model_width = 10             # grows with the names that come
 
-    def line(self, bus: str, stamp: int, entry: Entry, parts: Sequence[Part],
-             identity: PingAnswer | None) -> str:
+    def line(self, bus: str, stamp: int, entry: Entry, parts: Sequence[Part]) -> str:
         """Return the line of an entry; stamp in ns, as the time is to be shown."""
-        mark, colour, number, name, words = columns_of(entry, parts, identity)
+        mark, colour, number, name, words = columns_of(entry, parts)
         is_wide = self.width is None or self.width >= WIDE_MIN_COLUMNS
         model = _model(entry.device, is_wide)
         self._model_width = max(self._model_width, len(model))
@@ -112,7 +110,7 @@ def delta_text(delta_us: float) -> str:
 Shown = tuple[str, str, str, str, str]         # mark, colour, ID, instruction, words
 
 
-def columns_of(entry: Entry, parts: Sequence[Part], identity: PingAnswer | None) -> Shown:
+def columns_of(entry: Entry, parts: Sequence[Part]) -> Shown:
     """Return what is shown of an entry."""
     packet, device = entry.packet, entry.device
     if entry.kind == MISSED:
@@ -133,7 +131,7 @@ def columns_of(entry: Entry, parts: Sequence[Part], identity: PingAnswer | None)
     errors = [packet.error, *(part.error for part in parts)]
     colour = RED if any(error & ~ALERT for error in errors) \
         else YELLOW if packet.error or entry.notes else GREEN
-    return '<', colour, number, name, answer_words(packet, entry, parts, identity)
+    return '<', colour, number, name, answer_words(packet, entry, parts)
 
 
 def _model(device: Device | None, is_wide: bool) -> str:

@@ -32,9 +32,10 @@ from servobus.bus.report import Finding
 from servobus.errors import UsageError
 from servobus.monitor import Monitor
 from servobus.sources.capture import check_new
+from servobus.sources.capture import is_capture
 from servobus.sources.capture import open_new
 from servobus.sources.capture import Writer
-from servobus.sources.packet_file import is_packet_file
+from servobus.sources.packet_file import holds_packets
 from servobus.sources.packet_file import PacketWriter
 from servobus.sources.source import Source
 from servobus.tools.dump.listing import DAMAGED
@@ -46,6 +47,7 @@ from servobus.tools.dump.mcap_recording import McapRecording
 from servobus.tools.dump.text_format import FLAWS
 
 CAPTURE, PCAPNG, MCAP = FORMATS = ('capture', 'pcapng', 'mcap')
+_IS_OURS = {CAPTURE: is_capture, PCAPNG: holds_packets, MCAP: is_mcap}
 REPORT_NS = 1_000_000_000          # between two reports, for findings
 NOISE = 'not a packet: noise, or part of a packet'
 
@@ -152,14 +154,15 @@ def open_recording(source: Source, options: argparse.Namespace
         if options.json or options.summary or options.stats:
             raise UsageError('-w -: the capture goes to stdout, so nothing else can be shown; '
                              'give a file name')
-    elif os.path.exists(path) and os.path.exists(options.source) \
-            and os.path.samefile(path, options.source):
-        raise UsageError(f'{path}: is also the source, and writing would destroy it; '
-                         'give another file name')
-    if kind == MCAP:
-        check_new(path, is_mcap)
-        return McapRecording(path, source)
-    is_ours = is_packet_file if kind == PCAPNG else None
-    file = open_new(path, is_ours=is_ours) if path != '-' \
-        else open(sys.stdout.fileno(), 'wb', closefd=False)    # noqa: SIM115 - it is the run's
+        file: BinaryIO = open(                 # noqa: SIM115 - it is the run's
+            sys.stdout.fileno(), 'wb', closefd=False)
+    else:
+        if os.path.exists(path) and os.path.exists(options.source) \
+                and os.path.samefile(path, options.source):
+            raise UsageError(f'{path}: is also the source, and writing would destroy it; '
+                             'give another file name')
+        check_new(path, _IS_OURS[kind], 'recording of dxl_dump')
+        if kind == MCAP:
+            return McapRecording(path, source)
+        file = open_new(path)
     return (PacketRecording if kind == PCAPNG else CaptureRecording)(file, source)

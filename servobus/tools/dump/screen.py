@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What dxl_dump shows in place: a Screen, and the line about a bus."""
 
+from collections.abc import Callable
 from collections.abc import Sequence
 import os
 import shutil
@@ -52,6 +53,25 @@ class Screen:
         text = ''.join(f'{plain(line)}\033[K\n' for line in lines)
         on_screen(self._file, f'{up}\r{text}\033[J')
         self._height = len(lines)
+
+
+class ProgressLine:
+    """A line on stderr that says each so often what goes on; on a terminal only."""
+
+    def __init__(self, every_s: float) -> None:
+        self.is_shown = sys.stderr.isatty()
+        self._every_s = self._next_s = every_s
+
+    def show(self, now_s: float, words: Callable[[], str]) -> None:
+        """Paint the line again, if it is time; now_s: since the start."""
+        if self.is_shown and now_s >= self._next_s:
+            self._next_s = now_s + self._every_s
+            # A program may print there too: it begins in the first column.
+            on_screen(sys.stderr, f'\r{plain(words())[:78]}\033[K\r')
+
+    def clear(self) -> None:
+        if self.is_shown:
+            on_screen(sys.stderr, '\r\033[K')
 
 
 def headline(report: BusReport) -> str:

@@ -22,13 +22,11 @@ from servobus.bus.report import BusReport
 from servobus.bus.report import FEW_BYTES
 from servobus.doctor.case import OPTIONS
 from servobus.monitor import Monitor
-from servobus.plain import on_screen
 from servobus.plain import printable
 from servobus.settings import settings_of
 from servobus.sources.opening import open_source
 from servobus.sources.silence import reasons
 from servobus.tools.cli import print_problems
-from servobus.tools.dump.decode import identity_of
 from servobus.tools.dump.decode import parts_of
 from servobus.tools.dump.filter import is_wanted
 from servobus.tools.dump.json import json_line
@@ -37,6 +35,7 @@ from servobus.tools.dump.listing import Listing
 from servobus.tools.dump.packet_lines import Lines
 from servobus.tools.dump.recordings import open_recording
 from servobus.tools.dump.recordings import PacketRecording
+from servobus.tools.dump.screen import ProgressLine
 from servobus.tools.dump.screen import Screen
 from servobus.tools.dump.stats import stats
 from servobus.tools.dump.stats import summary
@@ -67,8 +66,8 @@ class Session:
         self._bytes = 0
         self._first = self._last = 0           # stamps of chunks; 0: none yet
         self._started_s = self._next_paint_s = time.monotonic()
-        self._next_progress_s = self._started_s + PROGRESS_EVERY_S
-        self._has_progress = False
+        self._progress = ProgressLine(PROGRESS_EVERY_S)
+        self._progress.is_shown &= not (self._lists and self._screen.is_terminal)
         self._is_silence_printed = False
 
     def __enter__(self) -> Session:
@@ -136,12 +135,11 @@ class Session:
         began = self._source.began
         stamp = entry.stamp - began.stamp + began.wall
         parts = parts_of(entry, listing)
-        identity = identity_of(entry)
         if not self._options.json:
             self._fit_lines()
-            line = self._lines.line(bus, stamp, entry, parts, identity)
+            line = self._lines.line(bus, stamp, entry, parts)
         elif entry.packet is not None:
-            line = json_line(bus, stamp // 1000, entry.packet, entry, parts, identity)
+            line = json_line(bus, stamp // 1000, entry.packet, entry, parts)
         self._shown += entry.packet is not None
         sys.stdout.write(line + '\n')
 
@@ -193,7 +191,7 @@ class Session:
     def _paint(self) -> None:
         now_s = time.monotonic()
         if not self._options.stats:
-            self._progress(now_s)
+            self._progress.show(now_s - self._started_s, self._how_far)
         elif self._source.is_live and now_s >= self._next_paint_s:
             self._paint_screen(self._reports(time.monotonic_ns()))
             cost_s = time.monotonic() - now_s
@@ -203,21 +201,14 @@ class Session:
         self._screen.paint(stats(reports, self._screen.width, self._options.colours,
                                  self._source.is_timed), is_last)
 
-    def _progress(self, now_s: float) -> None:
-        """Say how far we are, where that does not disturb."""
-        if now_s < self._next_progress_s or not sys.stderr.isatty() or (
-                self._lists and self._screen.is_terminal):
-            return
-        self._next_progress_s = now_s + PROGRESS_EVERY_S
+    def _how_far(self) -> str:
         total = self._source.total
-        text = f'{100 * self._source.position() // total} % of {total / 1e6:.0f} MB' if total \
-            else f'{now_s - self._started_s:.0f} s, {self._bytes} bytes; Ctrl-C ends'
-        on_screen(sys.stderr, f'\r{text}\033[K')
-        self._has_progress = True
+        if total:
+            return f'{100 * self._source.position() // total} % of {total / 1e6:.0f} MB'
+        return f'{time.monotonic() - self._started_s:.0f} s, {self._bytes} bytes; Ctrl-C ends'
 
     def _finish(self) -> None:
-        if self._has_progress:
-            on_screen(sys.stderr, '\r\033[K')
+        self._progress.clear()
         is_live = self._source.is_live
         now = time.monotonic_ns() if is_live else self._last
         if not is_live:

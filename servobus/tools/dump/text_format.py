@@ -19,8 +19,8 @@ from msg_defs.dxl_packet import Packet
 from msg_defs.dxl_packet import STATUS
 from msg_defs.frame import OPEN
 from servobus.bus.evidence import text_of
+from servobus.tools.dump.decode import identity_of
 from servobus.tools.dump.decode import Part
-from servobus.tools.dump.decode import PingAnswer
 from servobus.tools.dump.listing import Entry
 
 # What a device means by its error number (e-Manual, Protocol 2.0, status packet).
@@ -78,12 +78,12 @@ def request_words(packet: Packet, entry: Entry, parts: Sequence[Part]) -> str:
 _LISTS = (Answers.LISTED, Answers.COMBINED, Answers.ADAPTER)
 
 
-def answer_words(packet: Packet, entry: Entry, parts: Sequence[Part],
-                 identity: PingAnswer | None) -> str:
+def answer_words(packet: Packet, entry: Entry, parts: Sequence[Part]) -> str:
     """Return what a status says, its error first; (?): damage may hide what it answers."""
     words = [text_of(incident) for incident in entry.notes]
     if packet.error and not entry.blocks:
         words.append(error_words(packet.error))
+    identity = identity_of(entry)
     if identity is not None:
         name = identity.model_name or f'unknown model {identity.model_number}'
         words.append(f'{name}, firmware {identity.firmware}')
