@@ -195,6 +195,14 @@ def test_the_first_packets_of_the_1_0_family_have_their_times(run):
     assert [round((one - stamps[0]) * 1e6) for one in stamps] == starts
 
 
+def test_a_packet_of_the_1_0_family_has_a_checksum(run):
+    read, wrong = 'FF FF 01 04 02 38 02 BE', 'FF FF 01 04 00 D0 07 24'
+    text = f'TX {read}\nRX FF FF 01 04 00 D0 07 23\n' * 3 + f'TX {read}\nRX {wrong}\n'
+    _, out, _ = run(dxl_dump, text)
+    assert 'Status: wrong checksum; 01' in out and 'CRC' not in out
+    assert 'Status: wrong CRC' in run(dxl_dump, hexed(BOTH + BOTH[:-1] + PING))[1]
+
+
 def test_which_of_two_analysers_is_asked(run):
     code, out, err = run(dxl_dump, lines_of('BUS', "Joe's"))
     assert (code, out, err.count('\n')) == (2, '', 1)
