@@ -5,6 +5,7 @@ import io
 import json
 import subprocess
 import sys
+import textwrap
 import zipfile
 
 import pytest
@@ -111,6 +112,7 @@ SHAPES = {
     'Python': f'a {PING!r}\nb {PONG!r}\n',
     'bytearray': f'parse {bytearray(BOTH)!r} failed',
     'xxd': xxd(BOTH),
+    'xxd in a block of Markdown': textwrap.indent(xxd(BOTH), '    '),
     'hexdump -C': hexdump_c(BOTH),
     'hexdump': words(BOTH),
     'socat': (f'> 2026/01/02 12:00:01.000100  length=10 from=0 to=9\n {PING.hex(" ")}\n--\n'
@@ -204,9 +206,10 @@ def test_a_packet_of_the_1_0_family_has_a_checksum(run):
 
 
 def test_which_of_two_analysers_is_asked(run):
-    code, out, err = run(dxl_dump, lines_of('BUS', "Joe's"))
+    code, out, err = run(dxl_dump, lines_of("Joe's", 'BUS'))
     assert (code, out, err.count('\n')) == (2, '', 1)
-    assert 'name them TX and RX' in err and """grep -v -e 'Joe'"'"'s' FILE | dxl_dump -""" in err
+    assert """(head -n 1 FILE; grep -F 'Joe'"'"'s' FILE) | dxl_dump -""" in err
+    assert 'of 2 analysers, ' in err and ', BUS; name two TX and RX' in err
 
 
 def test_what_strace_cut_is_said_and_no_noise(run):
@@ -235,6 +238,7 @@ def test_two_packets_of_the_1_0_family_do_not_show_that(run, tool):
     (hexed(PING[:-1] + b'\0'), 'no packet with a right checksum; dxl_dump --check'),
     ('FF FF zz 01\n' * 5, 'not a recording'),
     ('name,time\n' + 'x,' * 200_000, 'not a recording'),
+    ('data,time\nFF\nFF', 'no packet with a right checksum'),
     ('f' * 3_000_000, 'no packet with a right checksum'),
     ('FF ' * 500_000, 'no packet with a right checksum'),
     ('1:' * 500_000, 'not a recording'),

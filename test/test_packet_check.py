@@ -68,9 +68,9 @@ def test_two_packets_in_a_row_are_two():
 
 @pytest.mark.parametrize('text', ['FF FF FE 04 02 38 02 C1',
                                   encode(0xFE, 2, b'\x84\0\4\0').hex(' ')])
-def test_nobody_answers_a_read_of_all(text):
+def test_a_read_of_all_is_not_answered(text):
     code, lines, _ = check(text)
-    assert (code, lines[-1]) == (0, 'nobody answers: a Read needs the ID of one servo')
+    assert (code, lines[-1]) == (0, 'no device answers: a Read needs the ID of one servo')
 
 
 @pytest.mark.parametrize(('text', 'words'), [

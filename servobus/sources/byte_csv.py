@@ -3,8 +3,8 @@
 """
 Bytes that a logic analyser decoded, as CSV: Saleae Logic 1 and 2, DSView, sigrok.
 
-The first line names the columns; a time has its unit in its name, or is in seconds. Analysers of
-several lines are told apart by their names.
+The first line names the columns; a time has its unit in its name, or is in seconds. Two
+analysers are two lines, by their names.
 """
 from __future__ import annotations
 
@@ -34,6 +34,7 @@ _MARKED = re.compile(r'\[([0-9A-F]{2})\]|\\x([0-9A-F]{2})', re.IGNORECASE)
 _QUOTED = re.compile(r"'(.*)'")
 _CLOCK = re.compile(r'.*T(\d+):(\d+):(\d+(?:\.\d+)?).*')
 NAME = 'CSV of a logic analyser'
+NAMED_MAX = 4                      # of several analysers
 
 
 def read_csv(text: str) -> ByteText | None:
@@ -46,8 +47,8 @@ def read_csv(text: str) -> ByteText | None:
     if not timed or not data:
         return None
     [(when, unit), *_] = timed.items()
-    cells = [_cells(row) for row in rows]
-    is_ascii = any(_MARKED.fullmatch(cell) for row in cells for cell in row[data[0]:data[0] + 1])
+    cells = [_cells(row) + [''] * len(names) for row in rows]      # some may be cut
+    is_ascii = any(_MARKED.fullmatch(row[data[0]]) for row in cells)
     values = [_value(*both, data[0], is_ascii) for both in zip(rows, cells, strict=True)]
     is_decimal = not any('0x' in one for one in values) and any(
         one.isdecimal() and len(one) == 3 for one in values)
@@ -69,9 +70,9 @@ def _which(lines: Collection[str]) -> str:
     """Ask which line is the bus, unless one is TX and the other RX."""
     if len(lines) < 2 or sorted(map(_side, lines)) == [IN, OUT]:
         return ''
-    first, *others = (shlex.quote(printable(one)) for one in lines)
-    return (f'bytes of {len(lines)} analysers, {", ".join((first, *others))}; name them TX and '
-            f'RX, or give one: grep -v -e {" -e ".join(others)} FILE | dxl_dump -')
+    names = [shlex.quote(printable(one)) for one in lines][:NAMED_MAX]
+    return (f'bytes of {len(lines)} analysers, {", ".join(names)}; name two TX and RX, or give '
+            f'one: (head -n 1 FILE; grep -F {names[0]} FILE) | dxl_dump -')
 
 
 def _side(name: str) -> str:
@@ -80,10 +81,8 @@ def _side(name: str) -> str:
 
 def _value(row: str, cells: list[str], at: int, is_ascii: bool) -> str:
     """Return what a row shows at a column; DSView does not quote a character."""
-    cell = cells[at] if at < len(cells) else ''
-    if is_ascii and not cell.strip():
-        return cell or ''.join(row.split(',', at)[at:])[:1]
-    return cell.strip()
+    cell = cells[at].strip()
+    return cell if cell or not is_ascii else cells[at] or ''.join(row.split(',', at)[at:])[:1]
 
 
 def _cells(line: str) -> list[str]:

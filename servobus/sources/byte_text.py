@@ -172,7 +172,7 @@ class _LineReader:
     def _dump(self, line: str) -> bool:
         if 'strace' in self.shapes and _REPEATED.match(line):
             return True
-        found = _DUMP.fullmatch(line.rstrip())
+        found = _DUMP.fullmatch(line.strip())
         if found is None:
             return False
         shown = re.split(r'  (?![0-9a-fA-F]{2} )', found[3])[0] if ':' in found[2] else found[3]

@@ -131,7 +131,7 @@ def _meaning(packet: bytes, settings: Settings, models: Models) -> list[str]:
                                                   identity_of(entry))
         found.append(f'{mark} {number} {name} {words}'.rstrip())
         if (number, name) == ('all', name_of(Instruction.READ)):
-            found.append('nobody answers: a Read needs the ID of one servo')
+            found.append('no device answers: a Read needs the ID of one servo')
 
     listing = Listing(models, show, settings)
     monitor = Monitor('', models, settings, decoder=listing)
