@@ -34,7 +34,7 @@ _MARKED = re.compile(r'\[([0-9A-F]{2})\]|\\x([0-9A-F]{2})', re.IGNORECASE)
 _QUOTED = re.compile(r"'(.*)'")
 _CLOCK = re.compile(r'.*T(\d+):(\d+):(\d+(?:\.\d+)?).*')
 NAME = 'CSV of a logic analyser'
-NAMED_MAX = 4                      # of several analysers
+ANALYSERS_NAMED_MAX = 4
 
 
 def read_csv(text: str) -> ByteText | None:
@@ -70,7 +70,7 @@ def _which(lines: Collection[str]) -> str:
     """Ask which line is the bus, unless one is TX and the other RX."""
     if len(lines) < 2 or sorted(map(_side, lines)) == [IN, OUT]:
         return ''
-    names = [shlex.quote(printable(one)) for one in lines][:NAMED_MAX]
+    names = [shlex.quote(printable(one)) for one in lines][:ANALYSERS_NAMED_MAX]
     return (f'bytes of {len(lines)} analysers, {", ".join(names)}; name two TX and RX, or give '
             f'one: (head -n 1 FILE; grep -F {names[0]} FILE) | dxl_dump -')
 
