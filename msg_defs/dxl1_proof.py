@@ -31,14 +31,13 @@ class Detector:
     """
     Decides whether the 1.0 family is spoken on a bus, for the framers of all its sides.
 
-    proven: the IDs that speak it. proof: earlier frames that the last chunk proved; proving: its
-    frame that did so.
+    proven: the IDs that speak it. proof: earlier frames that the last chunk proved, and the one
+    that did so.
     """
 
     def __init__(self) -> None:
         self.proven: set[int] = set()
         self.proof: list[Candidate] = []
-        self.proving: Frame | None = None
         self.streak: list[Candidate] = []      # directly after each other, not yet proof
         self._single = 0                       # good frames that were given up
 
@@ -59,8 +58,7 @@ class Detector:
             return False
         for held in self.streak[:-1]:
             held.framer.claim(held.frame)
-            self.proof.append(held)
-            self.proving = one.frame
+            self.proof = self.streak
         self._release_streak()
         one.framer.claim(one.frame)
         return True

@@ -10,11 +10,13 @@ until then its bytes are noise, as they are on a bus without that family. From t
 framer reads both, from left to right, until 2.0 alone was spoken for long.
 """
 
+from collections import deque
 from operator import attrgetter
 from operator import itemgetter
 import re
 
 from msg_defs.dxl1_packet import Dxl1Framer
+from msg_defs.dxl1_packet import MAX_FRAME
 from msg_defs.dxl1_packet import MIN_LENGTH
 from msg_defs.dxl1_proof import Candidate
 from msg_defs.dxl1_proof import Detector
@@ -130,14 +132,14 @@ class _GapFramer(Framer):
     """
     The framer of 2.0, which has what it gives up searched by that of the 1.0 family.
 
-    found: what that found. is_open: some bytes wait in it.
+    found: what that found. is_open: some bytes wait in it. is_searched: one of the two.
     """
 
     def __init__(self, one: Dxl1Framer, is_shared: bool) -> None:
         super().__init__(is_shared)
         self.found: Frames = []
         self._one = one
-        self.is_open = False
+        self.is_open = self.is_searched = False
 
     def _give_up(self, data: bytes, begin: int, end: int, is_ended: bool = False) -> None:
         Framer._give_up(self, data, begin, end)        # super() costs more
@@ -147,6 +149,7 @@ class _GapFramer(Framer):
             one.bytes = self.bytes - len(data) + begin
             self.found += one.frames(data[begin:end])
             self.is_open = one.pending > 0
+            self.is_searched |= self.is_open or bool(self.found)
             if is_ended:
                 self.end_gap()
         elif not is_ended:
@@ -173,6 +176,8 @@ class MixedFramer:
         self._one = _BothFramer()
         self._two = _GapFramer(self._one, bool(side))
         self._detector = detector
+        # Chunks with bytes that may be a packet, decided by later ones: stamp, offset after it.
+        self._arrivals = deque[tuple[int, int]](maxlen=MAX_FRAME)
         self._claimed = 0              # packets of the 1.0 family
         self._claimed_bytes = 0
         self._is_2_alone = False       # again, after both were
@@ -246,7 +251,8 @@ class MixedFramer:
         two = self._two
         found = two.frames(chunk)
         self.bytes = two.bytes
-        if two.found or self.held:
+        if two.is_searched or self.held:
+            self._arrivals.append((self.stamp, self.bytes))
             return self._insert_candidates(found, len(chunk))
         self.has_other = False
         return found
@@ -279,6 +285,7 @@ class MixedFramer:
     def _insert_candidates(self, found: Frames, size: int) -> Frames:
         """Put what may be packets of the 1.0 family where it was, in front of those of 2.0."""
         candidates, self._two.found = [*filter(is_good, self._two.found)], []
+        self._two.is_searched = self._two.is_open
         self.has_other = self.held > 0 or bool(candidates)
         if not self.has_other:
             return found
@@ -299,7 +306,9 @@ class MixedFramer:
                 self.claim(frame)
                 continue
             else:
-                one = Candidate(self, frame, self.stamp, self.bytes, self.side)
+                stamp, received = next((one for one in self._arrivals if one[1] >= end),
+                                       (self.stamp, self.bytes))
+                one = Candidate(self, frame, stamp, received, self.side)
                 is_one = detector.add_candidate(one, (begin, end) == written)
             if not is_one:
                 found[at] = begin, end, UNPROVEN_1, number, code, content, flaw

@@ -5,6 +5,7 @@ import io
 import json
 import subprocess
 import sys
+import textwrap
 import zipfile
 
 import pytest
@@ -62,8 +63,20 @@ def words(data):
 
 
 def csv(head, row, data=BOTH):
-    return '\n'.join([head, *(row.format(n=n, s=n * 1e-5, ns=n * 10_000, b=byte)
+    return '\n'.join([head, *(row.format(n=n, s=n * 1e-5, ns=n * 10_000, b=byte, shown=shown(byte))
                               for n, byte in enumerate(data))])
+
+
+def shown(byte):
+    return (chr(byte),) * 2 if 32 <= byte < 127 else (f'[{byte:02X}]', f'\\x{byte:02X}')
+
+
+def lines_of(first, second):
+    """Return what Logic 2 exports of two analysers, question and answer 300 us apart."""
+    return '\n'.join(['name,type,start_time,duration,data,error', *(
+        f'"{name}","data",{at + n * 1e-5:.9f},9e-06,0x{byte:02X},'
+        for name, at, data in ((first, 2.0, PING), (second, 2.0003, PONG))
+        for n, byte in enumerate(data))])
 
 
 STRACE = (f'openat(AT_FDCWD, "/dev/ttyUSB0", O_RDWR|O_NOCTTY) = 5\n'
@@ -81,7 +94,8 @@ SHAPES = {
     'headlines': f'Sent:\n{hexed(PING)}\nReceived:\n{hexed(PONG)}\n',
     'arrows': f'-> {PING.hex(" ")}\n<- {PONG.hex(" ")}\n',
     'a fence': f'I see this:\n```\n>> {PING.hex(" ")}\n<< {PONG.hex(" ")}\n```\nHelp!\n',
-    'coarse times': f'[12:00:01.123] TX {hexed(PING)}\n[12:00:01.125] RX {hexed(PONG)}\n',
+    'coarse times': f'[12:00:01] TX {hexed(PING)}\n[12:00:02] RX {hexed(PONG)}\n',
+    'milliseconds': f'[12:00:01.123] TX {hexed(PING)}\n[12:00:01.125] RX {hexed(PONG)}\n',
     'dates': (f'2026-01-02 12:00:01,123 sent {hexed(PING)}\n'
               f'2026-01-02 12:00:01,125 received {hexed(PONG)}'),
     'colons': f'TX {PING.hex(":")}\nRX {PONG.hex(":")}\n',
@@ -98,6 +112,7 @@ SHAPES = {
     'Python': f'a {PING!r}\nb {PONG!r}\n',
     'bytearray': f'parse {bytearray(BOTH)!r} failed',
     'xxd': xxd(BOTH),
+    'xxd in a block of Markdown': textwrap.indent(xxd(BOTH), '    '),
     'hexdump -C': hexdump_c(BOTH),
     'hexdump': words(BOTH),
     'socat': (f'> 2026/01/02 12:00:01.000100  length=10 from=0 to=9\n {PING.hex(" ")}\n--\n'
@@ -116,13 +131,21 @@ SHAPES = {
                              '{s:.9f},Async Serial,0x{b:02X}'),
     'Logic 2': csv('name,type,start_time,duration,data,error',
                    '"Async Serial","data",{s:.9f},1e-05,0x{b:02X},'),
+    'Logic 2 ASCII': csv('name,type,start_time,duration,data,error',
+                         '"Async Serial","data",{s:.9f},1e-05,{shown[1]},'),
+    'Logic 2 binary': csv('name,type,start_time,duration,data,error',
+                          '"Async Serial","data",{s:.9f},1e-05,0b{b:08b},'),
     'DSView': csv('Id,Time[ns],0:UART: RX/TX', '{n},{ns}.00,{b:02X}'),
+    'DSView as it exports': csv('Id,Time[ns],0:UART: RX/TX', '{n},{ns}.00,{shown[0]}'),
 }
 DOUBLED = 'strace -e write=5 -e read=5'
-KNOWS_SIDES = ('colons', 'who to whom', 'a count behind', 'a count before', 'an ID before',
-               DOUBLED, 'dates', 'TX and RX', 'TxPacket', 'headlines', 'arrows', 'a fence',
-               'coarse times', 'socat', 'strace', 'strace -y -xx')
-KNOWS_TIMES = {'socat', 'strace', 'times and colons', DOUBLED,
+SHAPES['TX and RX of Logic 2'] = lines_of('MCU TX', 'rx')
+KNOWS_SIDES = ('TX and RX of Logic 2', 'colons', 'who to whom', 'a count behind',
+               'a count before', 'an ID before', DOUBLED, 'dates', 'milliseconds', 'TX and RX',
+               'TxPacket', 'headlines', 'arrows', 'a fence', 'coarse times', 'socat', 'strace',
+               'strace -y -xx')
+KNOWS_TIMES = {'socat', 'strace', 'times and colons', DOUBLED, 'TX and RX of Logic 2', 'dates',
+               'milliseconds', "Arduino's monitor",
                *(one for one in SHAPES if one.startswith(('Logic', 'DSV')))}
 
 
@@ -158,6 +181,46 @@ def test_what_was_not_used_is_said(run):
     assert '2 lines not used, the first is line 1: I see this:' in err
 
 
+def test_times_of_milliseconds_are_times(run):
+    _, out, _ = run(dxl_dump, SHAPES['dates'], '--json')
+    first, second = (json.loads(line)['stamp'] for line in out.splitlines())
+    assert second - first == pytest.approx(0.002, abs=1e-4)
+
+
+def test_the_first_packets_of_the_1_0_family_have_their_times(run):
+    packets = [bytes.fromhex('FF FF 01 04 02 38 02 BE'), bytes.fromhex('FF FF 01 04 00 D0 07 23')]
+    starts = [0, 330, 1110, 1440, 2220, 2550]
+    rows = [f'{(start + 10 * n) / 1e6:.6f},0x{byte:02X}' for number, start in enumerate(starts)
+            for n, byte in enumerate(packets[number % 2])]
+    _, out, _ = run(dxl_dump, '\n'.join(['Time [s],Value', *rows]), '--json')
+    stamps = [json.loads(line)['stamp'] for line in out.splitlines()]
+    assert [round((one - stamps[0]) * 1e6) for one in stamps] == starts
+
+
+def test_a_packet_of_the_1_0_family_has_a_checksum(run):
+    read, wrong = 'FF FF 01 04 02 38 02 BE', 'FF FF 01 04 00 D0 07 24'
+    text = f'TX {read}\nRX FF FF 01 04 00 D0 07 23\n' * 3 + f'TX {read}\nRX {wrong}\n'
+    _, out, _ = run(dxl_dump, text)
+    assert 'Status: wrong checksum; 01' in out and 'CRC' not in out
+    assert 'Status: wrong CRC' in run(dxl_dump, hexed(BOTH + BOTH[:-1] + PING))[1]
+
+
+def test_which_of_two_analysers_is_asked(run):
+    code, out, err = run(dxl_dump, lines_of("Joe's", 'BUS'))
+    assert (code, out, err.count('\n')) == (2, '', 1)
+    assert """(head -n 1 FILE; grep -F 'Joe'"'"'s' FILE) | dxl_dump -""" in err
+    assert 'of 2 analysers, ' in err and ', BUS; name two TX and RX' in err
+
+
+def test_what_strace_cut_is_said_and_no_noise(run):
+    cut = f'write(5, "{octal(PING + PING)[:40]}"..., 48) = 48\n'
+    for text in (STRACE + cut * 5, cut):
+        _, _, err = run(dxl_dump, text)
+        assert f'strace left out {38 * text.count(cut)} bytes' in err and '-s 4096' in err
+    _, out, _ = run(dxl_doctor, STRACE + cut * 50)
+    assert 'USB events' not in out and 'no packet' not in out and '-s 4096' in out
+
+
 def test_doctor_says_nothing_of_times_and_wires(run):
     _, out, err = run(dxl_doctor, SHAPES['coarse times'])
     assert 'holds no exact times' in out and 'D+' not in out + err
@@ -175,6 +238,7 @@ def test_two_packets_of_the_1_0_family_do_not_show_that(run, tool):
     (hexed(PING[:-1] + b'\0'), 'no packet with a right checksum; dxl_dump --check'),
     ('FF FF zz 01\n' * 5, 'not a recording'),
     ('name,time\n' + 'x,' * 200_000, 'not a recording'),
+    ('data,time\nFF\nFF', 'no packet with a right checksum'),
     ('f' * 3_000_000, 'no packet with a right checksum'),
     ('FF ' * 500_000, 'no packet with a right checksum'),
     ('1:' * 500_000, 'not a recording'),

@@ -149,6 +149,14 @@ def test_findings_that_a_page_names_exist(page):
     assert named <= {rule.name for rule in RULES} | TOOLS | {'koch_follower', 'omx_follower'}
 
 
+@pytest.mark.parametrize('words', [
+    'hums', 'spins', 'drift', 'wrong position', 'Bricked', 'factory reset', 'firmware update',
+    'after ten minutes', 'stopped working', 'ignores commands', 'laptop', 'Raspberry Pi'])
+def test_what_people_look_for_is_a_symptom(words):
+    rows = (ROOT / 'docs/symptoms.md').read_text().splitlines()
+    assert any(words in row.split('|')[1] for row in rows if row.startswith('|'))
+
+
 def linked(page):
     """Return the pages that a page links to."""
     targets = re.findall(r'\]\(([^)\s#]+\.md)', page.read_text())

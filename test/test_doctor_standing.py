@@ -21,7 +21,7 @@ from servobus.doctor import RULES
 from servobus.doctor.case import History
 
 LOST = tuple(note(ev.SOURCE_LOST, ev.Count(3), 1))
-MANY_LOST = '3 USB events or bytes were lost'
+MANY_LOST = '3 bytes or events were lost'
 
 
 def silent(pause_s=1.0, last_byte_s=1.0, **parts):

@@ -563,6 +563,10 @@ def test_another_program_on_its_port_is_named(meeting_place, tmp_path):
     ((), 'import os; os.abort()', 'ended by a signal (Aborted). - The output of the program'),
     ((), 'raise OSError("[Errno 2] could not open port /dev/ttyNONE0: it")',
      '/dev/ttyNONE0: is not there; plug it in or set another port'),
+    ((), 'raise OSError("\\nCould not connect on port \'/dev/ttyNONE0\'. Make sure you")',
+     '/dev/ttyNONE0: is not there; plug it in or set another port'),
+    ((), 'raise PermissionError(13, "Permission denied", "/dev/ttyNONE0")',
+     'may not open it; check its owner and mode'),
     ((), 'import no_such_package', 'lacks that package. Name the Python of your program'),
     (('-I',), 'pass', 'did not load the tap: it is not Python, or PYTHONPATH did not reach it'),
 ])

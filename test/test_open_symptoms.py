@@ -161,11 +161,14 @@ def test_what_a_warning_accounts_for_is_no_doubt_any_more():
     assert (verdict.code, verdict.not_sure, len(verdict.unknown)) == (WARNING, [], 1)
 
 
-@pytest.mark.parametrize(('findings', 'is_open'), [
-    ((), True), ((Finding('stray_bytes', Level.OK, None, 'advice'),), True),
-    ((Finding('dropout', Level.WARN, 1, 'no answers'),), False)])
-def test_an_error_of_a_servo_library_that_nothing_accounts_for_has_a_step(findings, is_open):
-    error = Trouble(Level.WARN, 'the program', '', 'it ended with KeyError: 3', '')
+@pytest.mark.parametrize(('findings', 'is_open', 'text'), [
+    ((), True, 'KeyError: 3'),
+    ((Finding('stray_bytes', Level.OK, None, 'advice'),), True, 'KeyError: 3'),
+    ((Finding('dropout', Level.WARN, 1, 'no answers'),), False, 'KeyError: 3'),
+    ((), False, "ValueError: Some motors have the same min and max values: ['gripper']")])
+def test_an_error_of_a_servo_library_that_nothing_accounts_for_has_a_step(findings, is_open,
+                                                                          text):
+    error = Trouble(Level.WARN, 'the program', '', f'it ended with {text}', '')
     logged = tuple(LoggedFinding(one, 0.0, 1.0, True) for one in findings)
     verdict = make_verdict('x', [BusSummary('', heard(used(0)), logged)], 10, True, ended=error)
     assert [one.who for one in verdict.not_sure] == ['the program'] * is_open

@@ -10,6 +10,7 @@ import random
 from forked import run
 import pytest
 
+from msg_defs.dxl_packet import encode
 from servobus.bus.decoder import Settings
 from servobus.model.models import Models
 from servobus.tools.dump.packet_check import bytes_of
@@ -30,6 +31,8 @@ def check(text, *options):
     ('fffF0104023802BE', '> 001 Read Present Position (2 at 56)'),
     ('0xFF, 0xFF, 0x1, 0x4, 0x2, 0x38, 0x2, 0xBE', '> 001 Read Present Position (2 at 56)'),
     (r'\xff\xff\x01\x04\x02\x38\x02\xbe', '> 001 Read Present Position (2 at 56)'),
+    ('[255, 255, 1, 4, 2, 56, 2, 190]', '> 001 Read Present Position (2 at 56)'),
+    (r"b'\xff\xff\x01\x04\x028\x02\xbe'", '> 001 Read Present Position (2 at 56)'),
     (PING_2, '> 001 Ping'), (READ_2, '> 001 Read 4 at 132')])
 def test_a_right_packet_is_read(text, meaning):
     code, lines, errors = check(text, '--devices', '1:STS3215')
@@ -41,6 +44,12 @@ def test_a_right_packet_is_read(text, meaning):
     ('FF FF 01 04 02 38 02 41', 'checksum is 41, must be BE: it is the sum, not inverted', READ_1),
     ('FF FF 01 05 02 38 02 BD', 'Length is 5, must be 4: the bytes that follow it', READ_1),
     ('FF FF 01 05 02 38 02 BE', 'Length is 5, must be 4: the bytes that follow it', READ_1),
+    (READ_1[:-3], 'its end is missing: the checksum is BE', READ_1),
+    (READ_2[:-3], 'its end is missing: the CRC is 1D 15', READ_2),
+    (READ_2[:-6], 'its end is missing: the CRC is 1D 15', READ_2),
+    ('FF FF FD 00 01 09 00 03 74 00 FF FF FD AA 35 04',
+     'FF FF FD after Length must be FF FF FD FD (byte stuffing), and counts as 4',
+     encode(1, 3, b'\x74\0\xff\xff\xfd\xaa').hex(' ').upper()),
     ('FF FF FD 00 01 03 00 01 4E 19', 'CRC is 4E 19, must be 19 4E: the low byte comes first',
      PING_2),
     ('FF FF FD 00 01 03 00 01 00 00', 'CRC is 00 00, must be 19 4E', PING_2),
@@ -48,6 +57,20 @@ def test_a_right_packet_is_read(text, meaning):
 def test_a_wrong_field_is_named_with_the_right_packet(text, problem, right):
     code, lines, errors = check(text)
     assert (code, lines[1:3], errors) == (1, [problem, f'right: {right}'], [])
+
+
+def test_two_packets_in_a_row_are_two():
+    code, lines, _ = check(f'{READ_1} FF FF 01 04 00 D0 07 22')
+    assert (code, len([line for line in lines if '8 bytes: ' in line])) == (1, 2)
+    assert (lines[0].endswith('right'), f'right: {READ_1}' in lines) == (True, False)
+    assert check(PING_2 + READ_2)[0] == 0
+
+
+@pytest.mark.parametrize('text', ['FF FF FE 04 02 38 02 C1',
+                                  encode(0xFE, 2, b'\x84\0\4\0').hex(' ')])
+def test_a_read_of_all_is_not_answered(text):
+    code, lines, _ = check(text)
+    assert (code, lines[-1]) == (0, 'no device answers: a Read needs the ID of one servo')
 
 
 @pytest.mark.parametrize(('text', 'words'), [

@@ -101,7 +101,8 @@ class Dxl1Classifier:
         detector = self._detector
         devices = self._registry.devices
         is_noisy = False
-        proving = self._proof(detector) if detector is not None and detector.proof else None
+        proving = self._take_proof(detector.proof, frames) \
+            if detector is not None and detector.proof else None
         for frame in frames:
             _, _, kind, number, _, _, flaw = frame
             if flaw is not None and flaw.noise_length > GLITCH:
@@ -128,12 +129,15 @@ class Dxl1Classifier:
             self._count_first_byte_lost(framer)
         self._process(found, stamp, received, side)
 
-    def _proof(self, detector: Detector) -> Frame | None:
-        """Take packets of earlier chunks that this one proved; return the frame that did so."""
-        for one in detector.proof:
+    def _take_proof(self, proof: list[Candidate], frames: Frames) -> Frame:
+        """Take packets of earlier chunks, out of frames too; return the one that proved them."""
+        last = proof[-1]
+        earlier = proof if last.received != last.framer.bytes else proof[:-1]
+        for one in earlier:
             self._report_family(one.framer, one.frame, one.stamp)
             self._take_earlier(self._classify_packet(*one[1:]), *one[2:])
-        return detector.proving
+        frames[:] = [one for one in frames if one is not earlier[-1].frame]
+        return last.frame
 
     def _use_dialect(self, found: Frames, stamp: int, received: int, side: str) -> Frames:
         """Use a new dialect: from the question that decided it on, or after the answer."""

@@ -176,8 +176,8 @@ NOISE_DATA_END = 63                 # parameters: noise with more of them is no 
 # The lines of the error log; what is not listed here is not an error. {place}: at which
 # register, nothing where the instruction names none.
 _TEXTS: dict[str, str] = {
-    DAMAGED_STATUS: 'status with a wrong CRC',
-    DAMAGED_INSTRUCTION: '{instruction} with a wrong CRC',
+    DAMAGED_STATUS: 'status with a wrong CRC or checksum',
+    DAMAGED_INSTRUCTION: '{instruction} with a wrong CRC or checksum',
     BAD_LENGTH: 'packet with Length {length}',
     CUT: '{instruction} that ends before its Length of {length}',
     MISSED: 'no answer to {instruction}{place}',

@@ -22,7 +22,7 @@ from msg_defs.event import UNKNOWN
 from msg_defs.units import NS_PER_S
 
 DAY_NS = 86_400 * NS_PER_S
-EXACT_DIGITS = 6                   # decimals of a second: coarser times say nothing of a bus
+TIME_MIN_DIGITS = 3                # decimals of a second: coarser times say nothing of a bus
 PACKET_MAX_BYTES, HEADERS_MAX = 1100, 10_000     # looked at for a right packet
 LINE_MIN_NUMBERS = 4               # among words: fewer may be words, or a date
 _NUMBER = r'(?:(?:0x|\\x)[0-9a-f]{1,2}|[0-9a-f]{1,2}|[12]\d\d)(?![0-9a-z.])'
@@ -64,11 +64,18 @@ class TextBytes(NamedTuple):
 
 
 class ByteText(NamedTuple):
-    """What a text shows; unused: the lines that show no bytes, by number."""
+    """What a text shows; unused: lines that show no bytes; problem: why it cannot be used."""
 
     shape: str
     parts: list[TextBytes]
-    unused: dict[int, str]
+    unused: dict[int, str]         # by number
+    problem: str = ''
+
+    @property
+    def cut(self) -> str:
+        """Say that strace left out bytes, '' where it did not."""
+        lost = sum(one.lost for one in self.parts)
+        return f'; strace left out {lost} bytes, where it prints "...": add -s 4096' * (lost > 0)
 
     @property
     def data(self) -> bytes:
@@ -77,7 +84,7 @@ class ByteText(NamedTuple):
 
     @property
     def is_timed(self) -> bool:
-        """Tell whether all bytes have exact times that never go back."""
+        """Tell whether all bytes have times that never go back."""
         times = [one.time for one in self.parts]
         known = [one for one in times if one is not None]
         return len(known) == len(times) and known == sorted(known)
@@ -104,6 +111,12 @@ def holds_packet(data: bytes) -> bool:
     """Tell whether there is a packet with a right checksum among bytes."""
     return any(_is_packet(data[found.start():found.start() + PACKET_MAX_BYTES])
                for found in islice(re.finditer(b'(?=\xff\xff)', data), HEADERS_MAX))
+
+
+def _end_of_last_packet(data: bytes) -> int:
+    """Return where the bytes of a packet begin that lacks its end."""
+    begin = data.rfind(b'\xff\xff')
+    return len(data) if begin < 0 or _is_packet(data[begin:]) else begin
 
 
 def _is_packet(data: bytes) -> bool:
@@ -141,13 +154,15 @@ class _LineReader:
         found = _STRACE.search(line)
         if found is None:
             return False
-        call, number, path, text, _, result = found.groups()
+        call, number, path, text, is_cut, result = found.groups()
         path = unescaped(path or '').decode('latin-1')
         if path.startswith('/dev/tty'):
             self.ports.add(path)
         size = int(result)
         data = unescaped(text)[:max(0, size)]
-        if data:
+        if is_cut:                             # also in a packet: the rest of that is no noise
+            data = data[:_end_of_last_packet(data)]
+        if size > 0:
             self._add(data, OUT if 'write' in call else IN, self._time_in(line[:found.start()]),
                       size - len(data), path or number)
         return True
@@ -155,7 +170,7 @@ class _LineReader:
     def _dump(self, line: str) -> bool:
         if 'strace' in self.shapes and _REPEATED.match(line):
             return True
-        found = _DUMP.fullmatch(line.rstrip())
+        found = _DUMP.fullmatch(line.strip())
         if found is None:
             return False
         shown = re.split(r'  (?![0-9a-fA-F]{2} )', found[3])[0] if ':' in found[2] else found[3]
@@ -216,9 +231,9 @@ class _LineReader:
         return OUT if is_out else IN
 
     def _time_in(self, text: str) -> int | None:
-        """Return the time that a text says, if that is exact."""
+        """Return the time that a text says, if that is exact enough."""
         found = _TIME.search(_DATE.sub(' ', text))
-        if found is None or len(found[5] or '') < EXACT_DIGITS:
+        if found is None or len(found[5] or '') < TIME_MIN_DIGITS:
             return None
         hours, minutes, seconds, alone, part = found.groups()
         whole = int(alone) if alone else (int(hours) * 60 + int(minutes)) * 60 + int(seconds)

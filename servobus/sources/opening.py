@@ -155,13 +155,15 @@ def _text_file(name: str, file: BufferedReader, baud: int | None, tool: str) -> 
     else:
         found = _shown(begin)
         data = found.data
-        if holds_packet(data):
+        if not found.problem and holds_packet(data):
             return TextFile(name, file, baud, found)
-        problem = (f'read as {found.shape}: {len(data)} bytes, but no packet with a right '
-                   'checksum; dxl_dump --check HEX says what is wrong with one'
-                   if b'\xff\xff' in data else
+        problem = found.problem or (
+                   f'read as {found.shape}: {len(data)} bytes, but no packet with a right '
+                   f'checksum{found.cut or "; dxl_dump --check HEX says what is wrong with one"}'
+                   if found.cut or b'\xff\xff' in data else
                    'a text file, not a recording; give a pcap file, raw bytes or a capture (it '
-                   f'begins with {MAGIC.decode().strip()!r}), or text that shows packets')
+                   f'begins with {MAGIC.decode().strip()!r}), or text that shows packets (of '
+                   'a logic analyser: its decoded bytes in hex, as CSV)')
     file.close()
     raise UsageError(f'{name}: {problem}')
 

@@ -167,7 +167,8 @@ class TextFile(File):
             at = 1 + (before if side == OUT else sent) * _BYTE_NS // baud
             if self.is_timed and time is not None:
                 at = 1 + _BYTE_NS // baud + time - first       # its first bit is not before 0
-            yield Chunk(at, name, data, side)
+            if data:
+                yield Chunk(at, name, data, side)
             if lost > 0:
                 yield Chunk(at, name, change=Change(LOST, lost))
 
@@ -175,6 +176,7 @@ class TextFile(File):
         """Say what the text was taken for, and what of it was not used."""
         text = f'{self._name}: read as {self._text.shape}: {len(self._text.data)} bytes'
         text += '' if self.is_timed else '; exact times are not known'
+        text += self._text.cut
         if unused := self._text.unused:
             number, line = next(iter(unused.items()))
             text += (f'; {len(unused)} lines not used, the first is line {number}: '

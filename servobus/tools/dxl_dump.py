@@ -27,7 +27,7 @@ from servobus.tools.cli import run_tool
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
 from servobus.tools.dump.packet_check import bytes_of
-from servobus.tools.dump.packet_check import check_packet
+from servobus.tools.dump.packet_check import check_packets
 from servobus.tools.dump.packet_lines import TIMES
 from servobus.tools.dump.recordings import CAPTURE
 from servobus.tools.dump.recordings import FORMATS
@@ -96,7 +96,7 @@ def _check_packet(text: str, options: Namespace) -> int:
     """Say whether a packet is right, what it says, and what would be right."""
     models = models_of(options)
     settings = settings_of('', Wire('', 1_000_000), options.devices, options.protocol)
-    is_right, lines = check_packet(bytes_of(text), settings, models)
+    is_right, lines = check_packets(bytes_of(text), settings, models)
     print(*lines, sep='\n')
     return DONE if is_right else COULD_NOT_RUN
 

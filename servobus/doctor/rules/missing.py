@@ -403,7 +403,10 @@ def dropout(case: Case, device: DeviceReport) -> Found | None:
     if not absences or sum(one.detail.missed for one in absences) * 2 < device.window.missed:
         return None                    # else answers are lost by chance
     away = max(one.detail.ms for one in absences)
-    return Claim(f'no answers for {away} ms: a loose plug or a restart; read Torque '
+    others = [other for other in case.devices if other.id != device.id]
+    supply = ', or the supply of all: nothing else was heard either' \
+        if others and all(other.window.not_served for other in others) else ''
+    return Claim(f'no answers for {away} ms: a loose plug or a restart{supply}; read Torque '
                  'Enable or Realtime Tick to find out',
                  {'absences': len(absences), 'longest (ms)': away})
 

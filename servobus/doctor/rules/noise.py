@@ -555,8 +555,8 @@ def source_lost(case: Case) -> Iterator[Doubt]:
     """Say how much the source could not hand over."""
     lost = sum(one.detail.number for one in case.incidents(ev.SOURCE_LOST))
     if lost:
-        yield Doubt(f'{lost} USB events or bytes were lost: lost data looks like silence; take '
-                    'other devices off this USB bus, or call strace with -s 4096')
+        yield Doubt(f'{lost} bytes or events were lost: lost data looks like silence; call '
+                    'strace with -s 4096, or take other devices off this USB bus')
 
 
 def _noise_claims(case: Case) -> Claims:

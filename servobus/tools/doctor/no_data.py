@@ -5,15 +5,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+import errno
+import os
+from os.path import exists
 from os.path import isfile
 import re
 import shlex
 
+from servobus.port.port_error import Reason
 from servobus.port.preflight import ports_here
 from servobus.port.preflight import why_not
 from servobus.tools.doctor.program_source import Ending
 
 _IMPORT_ERRORS = ('ModuleNotFoundError', 'ImportError')
+
+# How pyserial and LeRobot name a port that does not open, and Python a device.
+_PORT = re.compile(r"\b(?:open|on) port '?(.+?)'?[:.] |: '(/dev/[^']+)'")
 
 
 def of_program(command: Sequence[str], ports: Sequence[str], ending: Ending) -> list[str]:
@@ -35,11 +42,19 @@ def of_program(command: Sequence[str], ports: Sequence[str], ending: Ending) -> 
     if ports:
         return [f'{ended}; it opened {", ".join(ports)} and sent nothing'
                 f'{ending.unheard and f" through pyserial; {ending.unheard}"}.']
-    if port := re.search(r"could not open port '?(.+?)'?: ", ending.error):      # pyserial
-        why = why_not(port[1], OSError(ending.error))
-        return [f'{ended}.', f'{port[1]}: {why.reason}; {why.remedy}.']
+    if (port := _PORT.search(ending.error)) and (why := _why_closed(port[1] or port[2],
+                                                                   ending.error)):
+        return [f'{ended}.', f'{port[1] or port[2]}: {why.reason}; {why.remedy}.']
     found = [f'{ended}.', f'{ending.unheard or "It sent nothing"}.']
     if ending.code:
         found.insert(1, 'The output of the program says why: often the port is absent or busy, or '
                      f'you may not open it; {ports_here()}.')
     return found
+
+
+def _why_closed(port: str, text: str) -> Reason | None:
+    """Return why a program could not open its port, None where neither text nor system says."""
+    number = None if 'Errno' in text else errno.ENOENT if not exists(port) \
+        else errno.EACCES if not os.access(port, os.R_OK | os.W_OK) else 0
+    return None if number == 0 else why_not(port, OSError(text) if number is None
+                                            else OSError(number, text))

@@ -34,6 +34,7 @@ from servobus.plain import printable
 from servobus.plain_data import bus_data
 from servobus.plain_data import device_data
 from servobus.plain_data import finding_data
+from servobus.tools.doctor import explain
 from servobus.tools.dump.text_format import spans
 
 WELL, NOTHING_HEARD, WARNING, ERROR = 0, 1, 3, 4      # exit codes; 2 is a wrong command line
@@ -67,8 +68,9 @@ class OpenPoint(NamedTuple):
 
 # For a program that its servo library has ended, where nothing that was heard says why.
 _LIBRARY_ERROR = OpenPoint(
-    'the program', '', 'nothing that was heard accounts for its error: its library is set to '
-    'another protocol or model, or the program uses it in the wrong order',
+    'the program', '', 'nothing that was heard accounts for its error: its time-out is too short '
+    'for a busy computer, its library is set to another protocol or model, or the program uses '
+    'it in the wrong order',
     'read one register of one servo in a program of its own, with the same library: if that '
     'works, it is the order; else the protocol or model')
 
@@ -132,7 +134,10 @@ def make_verdict(source: str, buses: Sequence[BusSummary], seconds: float, is_ti
                      for one in [*steps, *left]]
     wrong = [entry for bus in buses for entry in _wrong(bus)]
     if ended:
-        if not (quiet or not_sure or any(entry.level > Level.OK for entry in wrong)):
+        known = explain.find(ended.message)
+        is_explained = bool(known) and not known[0].findings       # the bus has no part in it
+        if not (quiet or not_sure or is_explained
+                or any(entry.level > Level.OK for entry in wrong)):
             not_sure.append(_LIBRARY_ERROR)
         wrong.append(ended)
     return Verdict(

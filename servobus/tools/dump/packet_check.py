@@ -8,14 +8,22 @@ For those who write their own code: e-Manual, Protocol 1.0 and 2.0, "Instruction
 
 from __future__ import annotations
 
+from contextlib import suppress
 import re
 
+from msg_defs.dxl_instruction import Instruction
+from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_packet import body_crc
+from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import HEADER
+from msg_defs.dxl_packet import STATUS
+from msg_defs.dxl_packet import stuff
+from msg_defs.dxl_packet import unstuff
 from servobus.bus.decoder import Settings
 from servobus.errors import UsageError
 from servobus.model.models import Models
 from servobus.monitor import Monitor
+from servobus.sources.byte_text import read_text
 from servobus.tools.dump.decode import parts_of
 from servobus.tools.dump.listing import Entry
 from servobus.tools.dump.listing import Listing
@@ -30,11 +38,22 @@ _MIN_1, _MIN_2 = 6, 10             # bytes of the shortest packet
 def bytes_of(text: str) -> bytes:
     """Return the bytes of hex digits, as programs print them; UsageError for something else."""
     digits = _SEPARATORS.sub(' ', text).split()
-    try:
+    with suppress(ValueError):
         return b''.join(bytes.fromhex(one if len(one) != 1 else f'0{one}') for one in digits)
-    except ValueError:
-        raise UsageError(f"--check {text!r}: not bytes in hex; write e.g. "
-                         "'FF FF 01 04 02 38 02 BE'") from None
+    if data := read_text(text).data:       # decimal numbers, Python's b''
+        return data
+    raise UsageError(f"--check {text!r}: not bytes in hex; write e.g. 'FF FF 01 04 02 38 02 BE'")
+
+
+def check_packets(data: bytes, settings: Settings, models: Models) -> tuple[bool, list[str]]:
+    """Return whether packets in a row are right, and the lines about them."""
+    end = int.from_bytes(data[5:7], 'little') + _FRONT_2 if data.startswith(HEADER) \
+        else sum(data[3:4]) + _FRONT_1
+    if not data[end:].startswith(b'\xff\xff'):
+        return check_packet(data, settings, models)
+    first, rest = (check_packet(data[:end], settings, models),
+                   check_packets(data[end:], settings, models))
+    return first[0] and rest[0], first[1] + rest[1]
 
 
 def check_packet(packet: bytes, settings: Settings, models: Models) -> tuple[bool, list[str]]:
@@ -60,6 +79,9 @@ def _right_1(packet: bytes) -> tuple[bytes, list[str]]:
     body = packet[_FRONT_1:-1]
     length, right_length = packet[3], len(packet) - _FRONT_1
     sums = [~sum((packet[2], one, *body)) & 0xFF for one in (length, right_length)]
+    if length == right_length + 1 and packet[-1] not in sums:
+        whole = packet + bytes((~sum(packet[2:]) & 0xFF,))
+        return whole, [f'its end is missing: the checksum is {whole[-1]:02X}']
     problems = _length_problems(length, right_length)
     if packet[-1] not in sums:
         hint = ': it is the sum, not inverted' if packet[-1] ^ sums[-1] == 0xFF else ''
@@ -72,11 +94,27 @@ def _right_2(packet: bytes) -> tuple[bytes, list[str]]:
     right = packet[:5] + right_length.to_bytes(2, 'little') + packet[_FRONT_2:-2]
     crcs = [body_crc(one[4:]).to_bytes(2, 'little') for one in (packet[:-2], right)]
     problems = _length_problems(length, right_length)
+    whole = packet[:_FRONT_2 + length - 2]
+    whole += body_crc(whole[4:]).to_bytes(2, 'little')
+    if length - right_length in (1, 2) and packet[-2:] not in crcs and whole.startswith(packet):
+        return whole, [f'its end is missing: the CRC is {whole[-2:].hex(" ").upper()}']
+    if (stuffed := _stuffed(packet)) != packet[_FRONT_2:-2]:
+        problems.append('FF FF FD after Length must be FF FF FD FD (byte stuffing), and counts '
+                        'as 4')
+        right = packet[:5] + (len(stuffed) + 2).to_bytes(2, 'little') + stuffed
+        return right + body_crc(right[4:]).to_bytes(2, 'little'), problems
     if packet[-2:] not in crcs:
         hint = ': the low byte comes first' if packet[:-3:-1] == crcs[-1] else ''
         problems.append(f'CRC is {packet[-2:].hex(" ").upper()}, must be '
                         f'{crcs[-1].hex(" ").upper()}{hint}')
     return right + crcs[-1], problems
+
+
+def _stuffed(packet: bytes) -> bytes:
+    """Return instruction and parameters as they must be on the wire."""
+    body = packet[_FRONT_2:-2]
+    is_fast = packet[4] == BROADCAST and body[0] == STATUS         # that is never stuffed
+    return body if is_fast else stuff(unstuff(body))
 
 
 def _length_problems(length: int, right: int) -> list[str]:
@@ -90,6 +128,8 @@ def _meaning(packet: bytes, settings: Settings, models: Models) -> list[str]:
     def show(entry: Entry) -> None:
         mark, _, number, name, words = columns_of(entry, parts_of(entry, listing))
         found.append(f'{mark} {number} {name} {words}'.rstrip())
+        if (number, name) == ('all', name_of(Instruction.READ)):
+            found.append('no device answers: a Read needs the ID of one servo')
 
     listing = Listing(models, show, settings)
     monitor = Monitor('', models, settings, decoder=listing)

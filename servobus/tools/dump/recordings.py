@@ -44,7 +44,7 @@ from servobus.tools.dump.listing import Listing
 from servobus.tools.dump.listing import MISSED
 from servobus.tools.dump.mcap_recording import is_mcap
 from servobus.tools.dump.mcap_recording import McapRecording
-from servobus.tools.dump.text_format import FLAWS
+from servobus.tools.dump.text_format import flaw_words
 
 CAPTURE, PCAPNG, MCAP = FORMATS = ('capture', 'pcapng', 'mcap')
 _IS_OURS = {CAPTURE: is_capture, PCAPNG: holds_packets, MCAP: is_mcap}
@@ -92,7 +92,7 @@ class PacketRecording(CaptureRecording):
             self._comments[bus].append(f'no answer from {entry.device.number:03}')
         if not entry.wire:
             return
-        comments = [f'damaged: {FLAWS.get(entry.reason, entry.reason)}'] * (entry.kind == DAMAGED)
+        comments = [f'damaged: {flaw_words(entry)}'] * (entry.kind == DAMAGED)
         self._write(bus, entry.stamp, entry.wire, entry.side, comments)
 
     def record_chunk(self, chunk: Chunk, monitors: Mapping[str, Monitor]) -> None:

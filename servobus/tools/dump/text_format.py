@@ -15,6 +15,7 @@ from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import error_text
 from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_instruction import NAMES
+from msg_defs.dxl_packet import HEADER
 from msg_defs.dxl_packet import Packet
 from msg_defs.dxl_packet import STATUS
 from msg_defs.frame import OPEN
@@ -29,7 +30,7 @@ _ERROR_MEANINGS = {
     3: 'the instruction came damaged', 4: 'value out of range', 5: 'too few bytes',
     6: 'beyond its limit', 7: 'no such register, read-only, or locked by Torque Enable',
 }
-FLAWS = {'crc': 'wrong CRC', 'cut': 'ends too early', 'length': 'impossible Length'}
+_FLAWS = {'crc': 'wrong CRC', 'cut': 'ends too early', 'length': 'impossible Length'}
 
 
 def runs(numbers: Iterable[int]) -> list[tuple[int, int]]:
@@ -106,7 +107,13 @@ def damaged_words(entry: Entry) -> str:
     name = name_of(entry.code) if entry.code else 'packet'
     if entry.reason == OPEN:
         return f'{name}, or a status; {entry.data.hex(" ")}'
-    return f'{name}: {FLAWS[entry.reason]}; {entry.data.hex(" ")}'
+    return f'{name}: {flaw_words(entry)}; {entry.data.hex(" ")}'
+
+
+def flaw_words(entry: Entry) -> str:
+    """Return what is wrong about a frame; of Protocol 2.0 it has a CRC."""
+    is_2 = HEADER[2:] in entry.wire[:len(HEADER)]
+    return 'wrong checksum' if entry.reason == 'crc' and not is_2 else _FLAWS[entry.reason]
 
 
 def noise_words(entry: Entry) -> str:
