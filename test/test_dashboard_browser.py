@@ -527,10 +527,11 @@ def test_history_of_a_lost_device_shows_what_was_before(open_page, tmp_path):
         see(page, '.badge', 'Error: disconnected')
         see(page, '.device-past .legend', 'temperature')
         assert 'temperature 4' in page.locator('.graphs canvas').nth(1).get_attribute('aria-label')
-        see(page, '.device-past .events li[data-state=error]', '\\d:\\d\\d.*7 answers missed')
+        see(page, '.device-past .events [data-state=error]', '\\d:\\d\\d.*7 answers missed')
         assert 'error from' in page.locator('.levels').get_attribute('aria-label')
         page.keyboard.press('5')
-        see(page, '.events a', '003 knee')
+        page.locator('.events summary', has_text='003 knee').click()
+        see(page, '.events ol li', '003: no answer to Read')        # missed on the way to its loss
         see(page, '.past', r'Times here: .*UTC[+\u2212]\d\d:\d\d. Times in the files: UTC')
         see(page, '.events li', r'nothing was recorded from .* to ')
         page.locator('.events a', has_text='003 knee').first.click()
@@ -538,7 +539,7 @@ def test_history_of_a_lost_device_shows_what_was_before(open_page, tmp_path):
         asked = parse_qs(page.url.partition('?')[2])
         assert int(asked['from'][0]) + 120 == int(asked['to'][0]) - 120 == begin + 2400
         page.go_back()
-        see(page, '.events a', '003 knee')
+        see(page, '.events summary', '003 knee')
         page.get_by_role('button', name='Errors', exact=True).click()
         see(page, '.events li', '003: no answer to Read')
         assert 'kind=error' in page.url
@@ -600,6 +601,8 @@ def test_events_are_grouped_by_cause(page):
     assert causes(page, lost, well, lost, missed, other) == [
         ('007, 008', 'no answer to Read at 7', 2, 3, 4, False),
         ('007 knee', lost[3], 2, 0, 2, False)]
+    assert causes(page, missed, other, missed, lost, well) == [     # missed on the way to its loss
+        ('007 knee', lost[3], 1, 0, 4, True), ('008', 'no answer to Read at 7', 1, 1, 1, False)]
     assert causes(page, lost, ('state', 2, '008 hip', 'disconnected: 9 answers missed'), well) == [
         ('007 knee, 008 hip', 'disconnected: 9 answers missed', 2, 0, 2, False)]
     hot = ('finding', 1, '007 knee', 'too hot: 82 \u00b0C')
@@ -654,6 +657,9 @@ def test_times_of_the_history_as_people_write_them(open_page, tmp_path):
         page.get_by_role('button', name='8 h').click()
         page.locator('.past [role=status]', has_text='noonish').wait_for(state='detached')
         wait(lambda: asked(page) == {'from': '-8 h'})
+        page.goto('about:blank')
+        page.goto(f'{dashboard.address}#/history?last=7200')        # a link of before
+        see(page, '.events summary', '007 left_knee')
         page.context.close()
 
 

@@ -7,7 +7,9 @@ import {clock, list, plural} from './format.js';
 import {LEVELS, worst} from './store.js';
 
 export const GAP = 'gap';      // the kind of an event: nothing was recorded
-const OF_DEVICE = /^(\d{3}): ([^]*)$/;
+const OF_DEVICE = /^(\d{3}): ([^]*)$/;          // the text of an error
+const OF_SOURCE = /: (\d{3})\b/;                // the name of a device
+const LOSS_S = 10;             // answers missed so long before a device is lost are part of that
 const nameOf = (name) => name.replace(/^.*?: /, '');
 const stateOf = ([, , , , level]) => LEVELS[level] ?? 'stale';
 const isEnd = ([, , , kind, level]) => kind === 'over' || (kind === 'state' && level === 0);
@@ -15,16 +17,18 @@ const isEnd = ([, , , kind, level]) => kind === 'over' || (kind === 'state' && l
 /**
  * Events [at, name, robot, kind, level, text], the newest first, by cause: [{key, state, who, text,
  * count, first, last, isOver, events}, ...]. A cause may have several devices, and figures that
- * change; that a device is well again belongs to what it had.
+ * change. To it belong that a device is well again, and the answers missed before it was lost.
  */
 export function causesOf(events) {
   const causes = new Map();
   const open = new Map();      // the cause of the state that each source is in, where that is not OK
+  const lossOf = lossesOf(events);
   for (const event of [...events].reverse()) {
     const [, name, robot, kind] = event;
     const source = `${robot} ${name} ${kind === 'state' ? '' : causeOf(event)}`;
-    const key = isEnd(event) && open.get(source) || `${robot} ${causeOf(event)}`;
-    if (!causes.has(key)) causes.set(key, {key, events: [], open: new Set()});
+    const begun = lossOf(event) ?? event;
+    const key = isEnd(event) && open.get(source) || `${robot} ${causeOf(begun)}`;
+    if (!causes.has(key)) causes.set(key, {key, kind: begun[3], events: [], open: new Set()});
     const cause = causes.get(key);
     cause.events.unshift(event);
     causes.get(open.get(source))?.open.delete(source);
@@ -36,6 +40,20 @@ export function causesOf(events) {
   return [...causes.values()].map(summary).sort((a, b) => b.last - a.last);
 }
 
+/** A function from an error to the loss of its device soon after; undefined: there is none. */
+function lossesOf(events) {
+  const losses = new Map();
+  for (const event of events) {
+    const [, id] = OF_SOURCE.exec(event[1]) ?? [];
+    if (!id || event[3] !== 'state' || isEnd(event)) continue;
+    const key = `${event[2]} ${id}`;
+    losses.set(key, [...losses.get(key) ?? [], event]);
+  }
+  return ([at, , robot, kind, , text]) => kind !== 'error' ? undefined
+    : losses.get(`${robot} ${OF_DEVICE.exec(text)?.[1]}`)
+      ?.find(([lost]) => lost >= at && lost - at < LOSS_S);
+}
+
 /** What events of one cause have in common. */
 function causeOf([, , , kind, , text]) {
   if (kind === 'finding') return `finding ${text.split(': ')[0]}`;
@@ -44,16 +62,16 @@ function causeOf([, , , kind, , text]) {
   return `${kind} ${(OF_DEVICE.exec(text)?.[2] ?? text).replace(/\d+([.,]\d+)?/g, '#')}`;
 }
 
-function summary({key, events, open}) {
-  const begins = events.filter((event) => !isEnd(event));
+function summary({key, kind: ofAll, events, open}) {
+  const begins = events.filter((event) => !isEnd(event) && event[3] === ofAll);
   const some = begins.length ? begins : events;
   const who = [...new Set(some.map(([, name, , kind, , text]) =>
     kind === 'error' && OF_DEVICE.exec(text)?.[1] || nameOf(name)))].sort();
   const [, , , kind, , text] = some[0];
-  return {key, events, who, state: worst(some.map(stateOf)), count: some.length,
+  return {key, events, who, count: some.length, state: worst(some.map(stateOf)),
     text: kind === 'error' && OF_DEVICE.exec(text)?.[2] || (kind === 'over' ? spelt(some[0]) : text),
     first: events.at(-1)[0], last: events[0][0],
-    isOver: begins.some(([, , , one]) => one !== 'error' && one !== GAP) && !open.size};
+    isOver: begins.length > 0 && ofAll !== 'error' && ofAll !== GAP && !open.size};
 }
 
 const spelt = ([, , , kind, , text]) => kind === 'over' ? `ended: ${text}` : text;

@@ -33,8 +33,9 @@ export class HistoryView {
   close() { this.panel.close(); }
 
   update(store) {
-    showCrumbs(this.crumbs, [['Overview', path()],
-      ['History', this.name ? path('history') : null], ...this.name ? [[this.name, null]] : []]);
+    const [, query] = location.hash.split('?');         // the same time, of the whole robot
+    showCrumbs(this.crumbs, [['Overview', path()], ['History', this.name
+      ? path('history') + (query ? `?${query}` : '') : null], ...this.name ? [[this.name, null]] : []]);
     this.panel.update(store);
   }
 }

@@ -62,7 +62,8 @@ export class HistoryPanel {
     this.levels.hidden = true;
     this.graphs = h('div', {class: 'graphs'});
     this.events = new EventList(pathAround);
-    this.cards = new HistoryCards(pathAround);
+    this.cards = new HistoryCards((at, name) => `${path('history', name)}?${
+      new URLSearchParams({from: this.from, to: this.to, at: String(at)})}`);
     this.body = h('div', {class: 'past'},
       h('div', {class: 'past-head'}, this.spans, h('label', {}, 'From ', this.begin),
         h('label', {}, 'To ', this.end)),
