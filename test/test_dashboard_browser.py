@@ -638,7 +638,8 @@ def asked(page):
 
 def test_times_of_the_history_as_people_write_them(open_page, tmp_path):
     with recorded(tmp_path) as (dashboard, begin):
-        page = open_page(f'{dashboard.address}#/history?from=-2 h', timezone_id='Asia/Tokyo')
+        page = open_page(f'{dashboard.address}#/history?from=-2 h', timezone_id='Asia/Tokyo',
+                         locale='en-US')
         assert page.get_by_label('From', exact=True).input_value() == '-2 h'
         see(page, '.events summary', '007 left_knee.*7 answers missed.*2 times, first')
         page.locator('.events summary', has_text='left_knee').click()
@@ -648,6 +649,9 @@ def test_times_of_the_history_as_people_write_them(open_page, tmp_path):
         page.keyboard.press('Enter')
         see(page, '.events summary', '5 answers missed.*ended')
         assert int(asked(page)['to']) == begin + 960
+        for one in ('From', 'To'):                                  # no AM, no month first
+            assert re.fullmatch(r'(\d{4}-\d\d-\d\d )?\d\d:\d\d:\d\d',
+                                page.get_by_label(one, exact=True).input_value())
         page.get_by_label('From', exact=True).fill('noonish')
         page.keyboard.press('Enter')
         see(page, '.past [role=status]', "^from: 'noonish' is not a time; write -10 min, 14:05")

@@ -90,6 +90,7 @@ export class HistoryPanel {
     Object.assign(this, {from: from || this.usual, to});
     if (isRelative(from) && !to) this.usual = this.from;
     if (isRelative(to)) this.at = null;
+    this.#point();
     this.#isTyped = true;
     this.#asked = -Infinity;
     this.update(this.store);
@@ -192,7 +193,7 @@ export class HistoryPanel {
     this.#isTyped = false;
   }
 
-  /** Say which time is looked at, and put the cursor of the plots there. */
+  /** Say which time is looked at; the cursor of the plots is there. */
   #showTime() {
     const [from, to] = this.#range;
     this.#showChoice();
@@ -204,7 +205,13 @@ export class HistoryPanel {
     const text = this.#isLive ? 'now' : clock(this.at ?? to, this.now);
     set(this.slider, 'aria-valuetext', text);
     say(this.when, text);
-    for (const plot of this.#plots.values()) plot.point(this.#cursor);
+    if (this.at !== null) this.#point();
+  }
+
+  /** Put the cursor of the plots where it is while no pointer moves it. */
+  #point() {
+    const cursor = this.at === null ? null : this.#range[1] - this.at;
+    for (const plot of this.#plots.values()) plot.point(cursor);
   }
 
   /** What somebody chose, also while there is no answer. */
@@ -217,13 +224,10 @@ export class HistoryPanel {
       set(button, 'aria-pressed', button.dataset.kind === this.kind);
     }
     for (const [input, given] of [[this.begin, this.from], [this.end, this.to]]) {
-      if (document.activeElement === input) continue;
+      if (document.activeElement === input && !this.#isTyped) continue;
       input.value = isUnix(given) ? clock(Number(given), this.now) : given;
     }
   }
-
-  /** Where the cursor of the plots is while no pointer moves it. */
-  get #cursor() { return this.at === null ? null : this.#range[1] - this.at; }
 
   /** What each part of the robot was at the time looked at: one question after the other. */
   async #showCards() {
@@ -266,9 +270,8 @@ export class HistoryPanel {
     const plot = new Plot(name, 3600);
     plot.onZoom = (zoom) => zoom && this.#choose(...widened(...zoom).map((s) => s.toFixed(0)));
     plot.onCursor = (cursor) => {
-      for (const other of this.#plots.values()) {
-        if (other !== plot || cursor === null) other.point(cursor ?? this.#cursor);
-      }
+      if (cursor === null) this.#point();
+      else for (const other of this.#plots.values()) if (other !== plot) other.point(cursor);
     };
     this.#plots.set(name, plot);
     return plot.element;
