@@ -3,8 +3,9 @@
 """
 The history over HTTP: /history/values and /history/events, as JSON or CSV, of any time span.
 
-Query: `from`, `to` (Unix s; default the last hour), `of` (names of statuses, several; none = all),
-`robot`, `format` = json | csv, `points` (values in JSON: at most about so many of each source).
+Query: `from`, `to` (as in written_time.py; default the last hour), `zone` of these (+HH:MM;
+default that of this machine), `of` (names of statuses, several; none = all), `robot`,
+`format` = json | csv, `points` (values in JSON: at most about so many of each source).
 """
 from __future__ import annotations
 
@@ -14,6 +15,7 @@ from collections.abc import Iterator
 import csv
 from datetime import datetime
 from datetime import timezone
+from datetime import tzinfo
 import io
 from itertools import islice
 import math
@@ -31,7 +33,8 @@ from mecarover_dashboard.history import Question
 from mecarover_dashboard.history import VALUES
 from mecarover_dashboard.history import Window
 from mecarover_dashboard.history import WINDOW_S
-from mecarover_dashboard.rows import finite
+from mecarover_dashboard.written_time import EXAMPLES
+from mecarover_dashboard.written_time import unix_time
 from msg_defs.diagnostics import Level
 from msg_defs.diagnostics import worst
 
@@ -121,8 +124,9 @@ async def _stream(request: web.Request, lines: Iterator[list[str]]) -> web.Strea
 def _question(request: web.Request) -> tuple[Question, int]:
     """Read the query, and its points; raise ValueError with what is wrong and what is wanted."""
     query = request.query
-    to_s = _time(query.get('to'), time.time(), 'to')
-    from_s = _time(query.get('from'), to_s - 3600, 'from')
+    now_s, zone = time.time(), _zone(query.get('zone'))
+    to_s = _time(query.get('to', 'now'), now_s, zone, 'to')
+    from_s = _time(query['from'], now_s, zone, 'from') if 'from' in query else to_s - 3600
     if from_s > to_s:
         raise ValueError('from: is later than to; swap them')
     if query.get('format', 'json') not in ('json', 'csv'):
@@ -134,13 +138,20 @@ def _question(request: web.Request) -> tuple[Question, int]:
             int(points))
 
 
-def _time(text: str | None, default: float, name: str) -> float:
+def _time(text: str, now_s: float, zone: tzinfo | None, name: str) -> float:
+    at_s = unix_time(text, now_s, zone)
+    if at_s is None:
+        raise ValueError(f'{name}: {text[:40]!r} is not a time; write {EXAMPLES}')
+    return at_s
+
+
+def _zone(text: str | None) -> tzinfo | None:
     if text is None:
-        return default
-    value = finite(text)
-    if value is None or not 0 <= value < 1e11:
-        raise ValueError(f'{name}: {text[:40]!r} is not a time; give Unix seconds')
-    return value
+        return None
+    try:
+        return datetime.strptime(text.replace(' ', '+'), '%z').tzinfo
+    except ValueError:
+        raise ValueError(f'zone: {text[:40]!r} is not an offset; write +01:00') from None
 
 
 def _values_json(reader: HistoryReader, question: Question, most: int) -> dict[str, Any]:

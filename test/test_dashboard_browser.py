@@ -25,6 +25,7 @@ from synthetic_robot import MANY
 from synthetic_robot import serialise
 from synthetic_robot import SyntheticRobot
 
+from mecarover_dashboard.history import Event
 from mecarover_dashboard.history import HistoryWriter
 from mecarover_dashboard.history import Subject
 from mecarover_dashboard.history import Window
@@ -526,10 +527,11 @@ def test_history_of_a_lost_device_shows_what_was_before(open_page, tmp_path):
         see(page, '.badge', 'Error: disconnected')
         see(page, '.device-past .legend', 'temperature')
         assert 'temperature 4' in page.locator('.graphs canvas').nth(1).get_attribute('aria-label')
-        see(page, '.device-past .events li[data-state=error]', '\\d:\\d\\d.*7 answers missed')
+        see(page, '.device-past .events [data-state=error]', '\\d:\\d\\d.*7 answers missed')
         assert 'error from' in page.locator('.levels').get_attribute('aria-label')
         page.keyboard.press('5')
-        see(page, '.events a', '003 knee')
+        page.locator('.events summary', has_text='003 knee').click()
+        see(page, '.events ol li', '003: no answer to Read')        # missed on the way to its loss
         see(page, '.past', r'Times here: .*UTC[+\u2212]\d\d:\d\d. Times in the files: UTC')
         see(page, '.events li', r'nothing was recorded from .* to ')
         page.locator('.events a', has_text='003 knee').first.click()
@@ -537,7 +539,7 @@ def test_history_of_a_lost_device_shows_what_was_before(open_page, tmp_path):
         asked = parse_qs(page.url.partition('?')[2])
         assert int(asked['from'][0]) + 120 == int(asked['to'][0]) - 120 == begin + 2400
         page.go_back()
-        see(page, '.events a', '003 knee')
+        see(page, '.events summary', '003 knee')
         page.get_by_role('button', name='Errors', exact=True).click()
         see(page, '.events li', '003: no answer to Read')
         assert 'kind=error' in page.url
@@ -549,6 +551,170 @@ def test_history_of_a_lost_device_shows_what_was_before(open_page, tmp_path):
         assert 'no answer to Read' in download.value.path().read_text()
         page.reload()
         see(page, '.events li', '003: no answer to Read')
+        page.context.close()
+
+
+BAND = """async () => {
+    const {drawPlot, readAt} = await import('./draw.js');
+    const points = [[0, 0, 10], [10, 2, 4], [40, 6, 8]];
+    const canvas = document.createElement('canvas');
+    canvas.style.cssText = 'position: fixed; top: 0; width: 162px; height: 128px';
+    document.body.append(canvas);
+    const {left, width} = drawPlot(canvas, [{points, step: 10}],
+        {from: 0, to: 60, cursor: null, mark: null, drag: null, unix: (s) => s, low: 0});
+    const {data} = canvas.getContext('2d').getImageData(0, 8, 162, 100);
+    const painted = (s) => Array.from({length: 100}, (_, y) =>
+        4 * (162 * y + Math.round(left + s * width / 60)))
+        .filter((at) => data[at + 2] - data[at] > 60).length;
+    canvas.remove();
+    return [[5, 15, 30, 45, 55].map(painted),
+        [5, 10, 15, 30, 45, 55, null].map((s) => readAt(points, s, 1, 25, 10))];
+}"""
+
+
+def test_lowest_and_highest_are_a_band(page):
+    """Each step is as high as its range, all of it is painted, and where none is known nothing."""
+    painted, read = page.evaluate(BAND)
+    assert painted == [pytest.approx(high, abs=3) for high in (94, 19, 0, 19, 0)]
+    assert [one and (one['low'], one['high']) for one in read] == [
+        (0, 10), (0, 10), (2, 4), None, (6, 8), (6, 8), (6, 8)]
+
+
+def causes(page, *events):
+    """Return who, what, how often, and whether it is over, of events (kind, level, who, text)."""
+    newest_first = [[at, f'dxl_monitor: {who}', '', kind, level, text]
+                    for at, (kind, level, who, text) in enumerate(events)][::-1]
+    found = page.evaluate("""async (events) => {
+        const {causesOf} = await import('./causes.js');
+        return causesOf(events);
+    }""", newest_first)
+    return [(', '.join(one['who']), one['text'], one['count'], one['first'], one['last'],
+             one['isOver']) for one in found]
+
+
+def test_events_are_grouped_by_cause(page):
+    lost, well = ('state', 2, '007 knee', 'disconnected: 7 answers missed'), (
+        'state', 0, '007 knee', 'connected')
+    missed = ('error', 2, 'bus', '007: no answer to Read at 132')
+    other = (*missed[:3], '008: no answer to Read at 7')
+    assert causes(page, lost, well) == [('007 knee', lost[3], 1, 0, 1, True)]
+    assert causes(page, lost, well, lost, missed, other) == [
+        ('007, 008', 'no answer to Read at 7', 2, 3, 4, False),
+        ('007 knee', lost[3], 2, 0, 2, False)]
+    assert causes(page, missed, other, missed, lost, well) == [     # missed on the way to its loss
+        ('007 knee', lost[3], 1, 0, 4, True), ('008', 'no answer to Read at 7', 1, 1, 1, False)]
+    assert causes(page, lost, ('state', 2, '008 hip', 'disconnected: 9 answers missed'), well) == [
+        ('007 knee, 008 hip', 'disconnected: 9 answers missed', 2, 0, 2, False)]
+    hot = ('finding', 1, '007 knee', 'too hot: 82 \u00b0C')
+    assert causes(page, hot, ('state', 0, '007 knee', 'connected'), (*hot[:3], 'loose: x'),
+                  ('over', 0, '007 knee', 'too hot')) == [
+        ('007 knee', hot[3], 1, 0, 3, True), ('007 knee', 'loose: x', 1, 2, 2, False),
+        ('007 knee', 'connected', 1, 1, 1, False)]
+    assert causes(page, lost, ('state', 1, '007 knee', 'Warning'), well) == [
+        ('007 knee', 'Warning', 1, 1, 2, True), ('007 knee', lost[3], 1, 0, 0, True)]
+
+
+@contextmanager
+def recorded(folder):
+    """Yield a dashboard that recorded 50 min of two servos, and when that begins (Unix s)."""
+    begin = int(time.time()) // 600 * 600 - 3600
+    knee, hip = (Subject(f'dxl_monitor: {name}', 'devices', '', 'A', 'rad')
+                 for name in ('007 left_knee', '001 left_hip_yaw'))
+    with closing(HistoryWriter(folder / 'history.sqlite')) as writer:
+        writer.write([Window(begin + at, source, 2 if source is knee and at >= 1800 else 0, (
+            (0.1, 0.2), (40 + at // 600, 40 + at // 600), *[None] * 4))
+            for at in range(0, 3000, 10) for source in (knee, hip)],
+            [Event(begin + at, knee, 'state', level, text) for at, level, text in (
+                (900, 2, 'disconnected: 5 answers missed'), (960, 0, 'connected'),
+                (1800, 2, 'disconnected: 7 answers missed'))])
+    with Dashboard(history=folder / 'history.sqlite') as dashboard, Feed(dashboard):
+        yield dashboard, begin
+
+
+def asked(page):
+    """Return {name: value} of the address."""
+    return {name: value for name, [value] in parse_qs(page.url.partition('?')[2]).items()}
+
+
+def test_times_of_the_history_as_people_write_them(open_page, tmp_path):
+    with recorded(tmp_path) as (dashboard, begin):
+        page = open_page(f'{dashboard.address}#/history?from=-2 h', timezone_id='Asia/Tokyo',
+                         locale='en-US')
+        assert page.get_by_label('From', exact=True).input_value() == '-2 h'
+        see(page, '.events summary', '007 left_knee.*7 answers missed.*2 times, first')
+        page.locator('.events summary', has_text='left_knee').click()
+        assert page.locator('.events ol li').count() == 3
+        at = time.strftime('%H:%M', time.gmtime(begin + 960 + 9 * 3600))
+        page.get_by_label('To', exact=True).fill(at)
+        page.keyboard.press('Enter')
+        see(page, '.events summary', '5 answers missed.*ended')
+        assert int(asked(page)['to']) == begin + 960
+        for one in ('From', 'To'):                                  # no AM, no month first
+            assert re.fullmatch(r'(\d{4}-\d\d-\d\d )?\d\d:\d\d:\d\d',
+                                page.get_by_label(one, exact=True).input_value())
+        page.get_by_label('From', exact=True).fill('noonish')
+        page.keyboard.press('Enter')
+        see(page, '.past [role=status]', "^from: 'noonish' is not a time; write -10 min, 14:05")
+        assert page.get_by_label('From', exact=True).get_attribute('aria-invalid') == 'true'
+        assert [one for one in page.complaints if '400' not in one] == []
+        page.complaints.clear()
+        page.get_by_role('button', name='8 h').click()
+        page.locator('.past [role=status]', has_text='noonish').wait_for(state='detached')
+        wait(lambda: asked(page) == {'from': '-8 h'})
+        page.goto('about:blank')
+        page.goto(f'{dashboard.address}#/history?last=7200')        # a link of before
+        see(page, '.events summary', '007 left_knee')
+        page.context.close()
+
+
+def test_one_slider_moves_cards_plots_and_events(open_page, tmp_path):
+    with recorded(tmp_path) as (dashboard, begin):
+        span = f'from={begin}&to={begin + 3000}'
+        page = open_page(f'{dashboard.address}#/history?{span}&at={begin + 1000}')
+        see(page, '.then h2', time.strftime('%H:%M:%S', time.localtime(begin + 1000)))
+        see(page, '.then .servo', 'left_knee.*temperature41 \u00b0C')
+        assert '7 answers' not in page.locator('.events').inner_text()
+        slider = page.get_by_label('Time looked at')
+        slider.focus()
+        page.keyboard.press('End')
+        see(page, '.then .servo[data-state=error]', 'left_knee.*7 answers missed.*44 \u00b0C')
+        see(page, '.then .servo[data-state=ok]', 'left_hip_yaw.*position0.1 to 0.2 rad')
+        see(page, '.events', '7 answers missed')
+        page.keyboard.press('PageDown')
+        page.keyboard.press('ArrowLeft')
+        wait(lambda: begin + 2600 < int(asked(page)['at']) < begin + 2800)
+        at = asked(page)['at']
+        assert slider.get_attribute('aria-valuetext') == time.strftime(
+            '%H:%M:%S', time.localtime(int(at)))
+        page.goto('about:blank')
+        page.goto(f'{dashboard.address}#/history/dxl_monitor: 007 left_knee?{span}&at={at}')
+        see(page, '.legend', 'temperature\\s*44 \u00b0C at \\d\\d:')
+        page.locator('.graphs canvas').first.hover()
+        page.locator('h1').hover()
+        see(page, '.legend', 'temperature\\s*44 \u00b0C at \\d\\d:')
+        page.get_by_role('button', name='Live').click()
+        see(page, '.player-time', '^now$')
+        wait(lambda: asked(page) == {'from': '-1 h'})
+        page.context.close()
+
+
+@pytest.mark.parametrize('size', SIZES)
+def test_a_time_of_the_history_fits_and_is_accessible(open_page, tmp_path, size):
+    with recorded(tmp_path) as (dashboard, begin):
+        times = f'?from={begin}&to={begin + 3000}&at={begin + 2500}'
+        page = open_page(dashboard.address, size)
+        axe = dashboard_page.axe_source()
+        for place, ready in (('', '.then .servo'), ('/dxl_monitor: 007 left_knee', '.legend b')):
+            page.goto(f'{dashboard.address}#/history{place}{times}')
+            page.locator(ready).first.wait_for()
+            page.locator('.events summary').first.click()
+            assert page.evaluate('document.documentElement.scrollWidth - innerWidth') <= 0
+            assert page.evaluate(TOO_NARROW) == []
+            assert size == 'desktop' or page.evaluate(TOO_SMALL) == []
+            if axe:
+                page.evaluate(axe)
+                found = page.evaluate('axe.run({resultTypes: ["violations"]})')['violations']
+                assert [(one['id'], one['nodes'][0]['html']) for one in found] == []
         page.context.close()
 
 

@@ -3,6 +3,9 @@
 """The history of the dashboard: what is kept, for how long, and what a file survives."""
 from contextlib import closing
 from contextlib import suppress
+from datetime import datetime
+from datetime import timedelta
+from datetime import timezone
 import json
 import os
 from pathlib import Path
@@ -43,6 +46,7 @@ from mecarover_dashboard.history_recorder import MOST_ERRORS
 from mecarover_dashboard.serve import open_history
 from mecarover_dashboard.state import State
 from mecarover_dashboard.state import TABLES
+from mecarover_dashboard.written_time import unix_time
 from msg_defs.diagnostics import Level
 from msg_defs.diagnostics import Status
 
@@ -488,8 +492,11 @@ def test_many_sources_share_the_points_of_an_answer(path, monkeypatch):
 
 
 @pytest.mark.parametrize(('query', 'words'), [
-    ({'from': 'yesterday'}, "from: 'yesterday' is not a time; give Unix seconds"),
+    ({'from': 'noon'}, "from: 'noon' is not a time; write -10 min, 14:05, yesterday 9:00, "
+                       '2026-11-28T14:05 or Unix seconds\n'),
     ({'to': '-1'}, "to: '-1' is not a time"), ({'to': 'nan'}, "to: 'nan' is not a time"),
+    ({'to': ''}, "to: '' is not a time"),
+    ({'zone': 'CET'}, "zone: 'CET' is not an offset; write +01:00"),
     ({'from': 5, 'to': 4}, 'from: is later than to; swap them'),
     ({'format': 'xml'}, 'format: not known; give json or csv'),
     ({'points': '0'}, 'points: not a number from 1 to 10000; correct it')])
@@ -497,6 +504,49 @@ def test_questions_that_make_no_sense(path, query, words):
     with Dashboard(history=path) as dashboard, pytest.raises(HTTPError) as caught:
         ask(dashboard, 'values', **query)
     assert (caught.value.code, caught.value.read().decode()[:len(words)]) == (400, words)
+
+
+BERLIN = timezone(timedelta(hours=1))
+NOW = datetime(2026, 11, 28, 14, 30, 0, 500_000, BERLIN)
+
+
+@pytest.mark.parametrize(('texts', 'meant'), [
+    (('-10 min', '-10m', '\u221210 minutes', ' - 10min ', '-600 s', '-600 seconds'),
+     NOW - timedelta(minutes=10)),
+    (('-1.5 h', '-1.5 hours', '-90 min'), NOW - timedelta(hours=1.5)),
+    (('-1 d', '-1 day', '-24h'), NOW - timedelta(days=1)),
+    (('now', 'NOW'), NOW),
+    (('14:05', '14:05:00', 'today 14:05', '2026-11-28T14:05', '2026-11-28 14:05:00',
+      '2026-11-28T13:05:00Z', '2026-11-28T15:05:00+02:00', '2026-11-28T15:05:00 02:00',
+      '1795871100'), datetime(2026, 11, 28, 14, 5, tzinfo=BERLIN)),
+    (('15:00', 'yesterday 15:00'), datetime(2026, 11, 27, 15, tzinfo=BERLIN)),
+    (('yesterday 9:00', 'Yesterday  9:00:00'), datetime(2026, 11, 27, 9, tzinfo=BERLIN)),
+    (('yesterday', '2026-11-27'), datetime(2026, 11, 27, tzinfo=BERLIN)),
+    (('', ' ', 'noon', '25:00', '9:5', '14:05 pm', '-10', '-1', '-10 months', '10 min',
+      '0001-01-01', '-99999999999999 d', '1e400', 'nan', '-5 min ago'), None)])
+def test_times_as_people_write_them(texts, meant):
+    for text in texts:
+        assert unix_time(text, NOW.timestamp(), BERLIN) == (meant and meant.timestamp()), text
+
+
+def test_a_time_without_a_zone_is_of_this_machine(monkeypatch):
+    monkeypatch.setenv('TZ', 'Europe/Berlin')
+    time.tzset()
+    try:
+        noon = unix_time('2026-07-01 12:00', NOW.timestamp(), None)    # summer, asked in winter
+        assert noon == datetime(2026, 7, 1, 10, tzinfo=timezone.utc).timestamp()
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+
+
+def test_a_question_has_the_time_zone_of_who_asks(path, writer):
+    at = int(time.time()) // 60 * 60
+    asked = datetime.fromtimestamp(at, timezone(timedelta(hours=-9, minutes=-30)))
+    with Dashboard(history=path) as dashboard:
+        answer = json.loads(ask(dashboard, 'events', zone='-09:30', to='now', **{
+            'from': asked.isoformat()[:16]}))
+    assert answer['from'] == at <= answer['to'] <= time.time()
 
 
 def last_hour():

@@ -41,10 +41,12 @@ export function drawPlot(canvas, shown, view) {
   for (const [name, value] of view.limits ?? []) {
     drawLimit(pen, area, at, `${name} ${measured(value, view.unit)}`, value, ticks, colours);
   }
-  shown.forEach((one, index) => drawLine(pen, one.points, at,
-    {colour: colours.lines[index % 4], dash: DASHES[index % 4],
-      hasDots: one.hasDots && (one.isSampled || isSparse(one.points, at)),
-      isFaint: one.isSampled}, view));
+  shown.forEach((one, index) => one.step
+    ? drawBand(pen, one, at, colours.lines[index % 4])
+    : drawLine(pen, one.points, at,
+      {colour: colours.lines[index % 4], dash: DASHES[index % 4],
+        hasDots: one.hasDots && (one.isSampled || isSparse(one.points, at)),
+        isFaint: one.isSampled}, view));
   pen.restore();
   if (view.drag) drawDrag(pen, area, at, view.drag, colours);
   if (view.mark !== null) drawUpright(pen, area, at.x(view.mark), colours, LIMIT_DASH);
@@ -71,12 +73,14 @@ function coloursOf(canvas) {
 /**
  * What the line shows at a time: {low, high, at, isBetween}; at the end where the time is null;
  * null: nothing. Between two points it is on the line between them: no value that was measured.
+ * Of a band (`step`) it is what the step of that time has.
  */
-export function readAt(points, s, near, gap = GAP_S) {
+export function readAt(points, s, near, gap = GAP_S, step = 0) {
   const after = s === null ? points.length : points.findIndex((point) => point[0] >= s);
   const [left, right] = [points.at(after < 0 ? -1 : after - 1), points[after]];
   const isLeft = after !== 0 && left && left[1] !== null;
   if (s === null) return isLeft ? at(left[3] === undefined ? left : [left[0], left[3]]) : null;
+  if (step) return isLeft && s - left[0] <= (right ? step : gap) ? {...at(left), at: s} : null;
   const isRight = right && right[1] !== null;
   if (isRight && right[0] - s <= near) return at(right);
   if (isLeft && s - left[0] <= near) return at(left);
@@ -207,6 +211,34 @@ function drawLine(pen, points, at, {colour, dash, hasDots, isFaint}, view) {
   }
 }
 
+/** Fill from the lowest to the highest of each step; where a step is missing there is a gap. */
+function drawBand(pen, {points, step}, at, colour) {
+  pen.strokeStyle = pen.fillStyle = colour;
+  pen.lineWidth = 1;
+  for (const run of runsOf(points, step)) {
+    const edge = (end) => run.flatMap((point) =>
+      [0, step].map((after) => [at.x(point[0] + after), at.y(point[end])]));
+    pen.beginPath();
+    for (const [x, y] of [...edge(2), ...edge(1).reverse()]) pen.lineTo(x, y);
+    pen.closePath();
+    pen.globalAlpha = 0.3;
+    pen.fill();
+    pen.globalAlpha = 1;
+    pen.stroke();
+  }
+}
+
+/** Points that follow each other without a gap. */
+function runsOf(points, step) {
+  const runs = [];
+  for (const point of points) {
+    const run = runs.at(-1);
+    if (run && point[0] - run.at(-1)[0] < 1.5 * step) run.push(point);
+    else runs.push([point]);
+  }
+  return runs;
+}
+
 /** Draw what is not interrupted; return the last point, null after a gap. */
 function strokeLine(pen, points, at, gap) {
   let before = null;
@@ -257,12 +289,14 @@ function drawUpright(pen, {top, height}, x, colours, dash = []) {
 
 function drawCursor(pen, area, at, shown, {cursor, gap, from, to}, colours) {
   drawUpright(pen, area, at.x(cursor), colours);
-  shown.forEach(({points}, index) => {
-    const found = readAt(points, cursor, nearOf(area, from, to), gap);
+  shown.forEach(({points, step}, index) => {
+    const found = readAt(points, cursor, nearOf(area, from, to), gap, step);
     if (!found) return;
     pen.fillStyle = colours.lines[index % 4];
-    pen.beginPath();
-    pen.arc(at.x(found.at), at.y(found.high), 3.5, 0, 7);
-    pen.fill();
+    for (const value of step ? [found.low, found.high] : [found.high]) {
+      pen.beginPath();
+      pen.arc(at.x(found.at), at.y(value), 3.5, 0, 7);
+      pen.fill();
+    }
   });
 }

@@ -46,22 +46,26 @@ const FAR = 1e12;              // beyond this a value cannot be a measurement
 /** Whether a number can be drawn: finite, and no 1e308. */
 export const isInRange = (value) => Number.isFinite(value) && Math.abs(value) < FAR;
 
-/** A time of day from Unix seconds, with the day where it is not today. */
+/** Date and time from Unix seconds, in the time zone of this browser: '2026-11-28 14:05:20'. */
+export const dateTime = (unix) => new Date(unix * 1000).toLocaleString('sv');
+
+/** As dateTime(), without the date where that is today. */
 export function clock(unix, now = Date.now() / 1000) {
   if (unix == null) return '';
-  const at = new Date(unix * 1000);
-  const time = at.toLocaleTimeString('en-GB');
-  const isToday = at.toDateString() === new Date(now * 1000).toDateString();
-  return isToday ? time : `${at.toLocaleDateString('en-CA')} ${time}`;
+  const [day, time] = dateTime(unix).split(' ');
+  return dateTime(now).startsWith(day) ? time : `${day} ${time}`;
+}
+
+/** How far the time of this browser is from UTC: '+02:00'. */
+export function offset() {
+  const minutes = -new Date().getTimezoneOffset();
+  const two = (value) => String(Math.floor(Math.abs(value))).padStart(2, '0');
+  return `${minutes < 0 ? '-' : '+'}${two(minutes / 60)}:${two(minutes % 60)}`;
 }
 
 /** The time zone of this browser: 'Europe/Berlin, UTC+02:00'. */
-export function zone() {
-  const minutes = -new Date().getTimezoneOffset();
-  const two = (value) => String(Math.floor(Math.abs(value))).padStart(2, '0');
-  return `${Intl.DateTimeFormat().resolvedOptions().timeZone}, `
-    + `UTC${minutes < 0 ? '\u2212' : '+'}${two(minutes / 60)}:${two(minutes % 60)}`;
-}
+export const zone = () => `${Intl.DateTimeFormat().resolvedOptions().timeZone}, `
+  + `UTC${offset().replace('-', '\u2212')}`;
 
 /** Text from a topic inside a sentence of ours: its writing direction ends where it ends. */
 export function isolate(text) {

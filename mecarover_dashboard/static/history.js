@@ -7,16 +7,18 @@ import {showCrumbs} from './parts.js';
 import {HistoryPanel} from './history_panel.js';
 import {keepFilters, path} from './place.js';
 
+const AROUND_S = 1800;         // what a link with only one time shows before and after it
+
 export class HistoryView {
   constructor([name], filters) {
     this.name = name ?? null;
     this.title = 'History';
-    const number = (key) => filters.has(key) && Number(filters.get(key)) > 0
-      ? Number(filters.get(key)) : undefined;
-    const [from, to] = [number('from'), number('to')];
-    const time = from && to ? {from, to} : {from: number('last') ?? (name ? 3600 : 28800)};
-    this.panel = new HistoryPanel(this.name, {...time, kind: filters.get('kind') ?? ''},
-      () => this.#keep());
+    const get = (key) => filters.get(key) ?? '';
+    const at = Number(get('at')) || null;
+    const around = at && !get('from') && {from: String(at - AROUND_S), to: String(at + AROUND_S)};
+    const usual = get('last') ? `-${get('last')} s` : name ? '-1 h' : '-8 h';
+    this.panel = new HistoryPanel(this.name, {from: get('from') || usual, to: get('to'), ...around,
+      at, kind: get('kind')}, () => this.#keep());
     this.crumbs = h('nav', {class: 'crumbs', ariaLabel: 'Place'});
     this.element = h('div', {}, this.crumbs,
       h('h1', {tabindex: -1}, name ? name.replace(/^.*?: /, '') : 'History'),
@@ -24,16 +26,16 @@ export class HistoryView {
   }
 
   #keep() {
-    const {from, to, kind} = this.panel;
-    keepFilters(to === null ? {last: String(from), kind}
-      : {from: String(from), to: String(to), kind});
+    const {from, to, at, kind} = this.panel;
+    keepFilters({from, to, at: at && String(Math.round(at)), kind});
   }
 
   close() { this.panel.close(); }
 
   update(store) {
-    showCrumbs(this.crumbs, [['Overview', path()],
-      ['History', this.name ? path('history') : null], ...this.name ? [[this.name, null]] : []]);
+    const [, query] = location.hash.split('?');         // the same time, of the whole robot
+    showCrumbs(this.crumbs, [['Overview', path()], ['History', this.name
+      ? path('history') + (query ? `?${query}` : '') : null], ...this.name ? [[this.name, null]] : []]);
     this.panel.update(store);
   }
 }

@@ -2,40 +2,53 @@
 // SPDX-License-Identifier: Apache-2.0
 // What was: events, and the values of one device or bus, of any time span the server remembers.
 
-import {each, h, icon, say, set, setIcon} from './dom.js';
-import {clock, plural, zone} from './format.js';
+import {EventList, GAP} from './causes.js';
+import {each, h, say, set} from './dom.js';
+import {clock, offset, plural, zone} from './format.js';
+import {HistoryCards, unitOf} from './history_cards.js';
 import {Pause} from './pause.js';
 import {path} from './place.js';
 import {Plot} from './plot.js';
 import {LEVELS} from './store.js';
 
-const SPANS = [[600, '10 min'], [3600, '1 h'], [28800, '8 h'], [86400, '24 h']];
+const SPANS = ['10 min', '1 h', '8 h', '24 h'];
 const KINDS = {'': 'All', state: 'States', finding: 'Findings', error: 'Errors'};
-const UNITS = {temperature: '\u00b0C', voltage: 'V', loss: '%', latency: 'ms',
-  bus_load: '%', packet_rate: '1/s', error_rate: '1/s'};
-const unitOf = (name, source) => UNITS[name]
-  ?? (name === 'position' ? source.position_unit || 'rad' : source.unit);
 const AGAIN_S = 20;            // how old the newest values may become
 const LEAST_S = 60;
 const AROUND_S = 120;          // so much before and after an event its link shows
-const GAP = 'gap';
+const LATEST_S = 20;           // cards show what was recorded in so many s before their time
+const STEPS = 600;             // that the slider has
+
+/** Whether a text is a time before now, or now. */
+const isRelative = (text) => /^([-\u2212].*|now)?$/.test(text);
+const isUnix = (text) => /^[\d.]+$/.test(text);
 
 export class HistoryPanel {
   #plots = new Map();
   #asked = -Infinity;          // when, s of the page
   #answer = 0;                 // number of the question that is not answered yet
+  #range = null;               // [from, to] of what is shown, Unix s
+  #isTyped = false;            // the address does not have the time yet
+  #cardsOf = null;             // for which time cards are on their way
 
   /**
-   * of: the name of a device or bus, null for the events of all; from and to: Unix s, or to = null
-   * for now and from = a length of time. changed() is called when another time is chosen.
+   * of: the name of a device or bus, null for the events of all; from and to: as the server takes
+   * them, to = '' for now; at: Unix s in between that is looked at, null for the newest.
+   * changed() is called when another time is chosen.
    */
-  constructor(of, {from = 3600, to = null, kind = ''} = {}, changed = () => {}) {
-    Object.assign(this, {of, from, to, kind, changed});
+  constructor(of, {from = '-1 h', to = '', at = null, kind = ''} = {}, changed = () => {}) {
+    Object.assign(this, {of, from, to, at, kind, changed});
+    this.usual = isRelative(from) && isRelative(to) ? from : '-1 h';
     this.spans = h('div', {class: 'choice', role: 'group', ariaLabel: 'Time shown'},
-      ...SPANS.map(([span, text]) => h('button', {type: 'button', 'data-span': span,
-        onclick: () => this.#choose(span, null)}, text)));
-    this.begin = this.#time('From');
-    this.end = this.#time('To');
+      ...SPANS.map((span) => h('button', {type: 'button', 'data-span': span,
+        onclick: () => this.#choose(`-${span}`, '')}, span)));
+    this.begin = this.#time('from');
+    this.end = this.#time('to', 'now');
+    this.slider = h('input', {type: 'range', ariaLabel: 'Time looked at', disabled: '', value: 100,
+      oninput: () => this.#scrub(Number(this.slider.value)), onchange: () => this.changed()});
+    this.when = h('span', {class: 'player-time'});
+    this.live = h('button', {type: 'button', class: 'button',
+      onclick: () => this.#choose(this.usual, '')}, 'Live');
     this.kinds = h('div', {class: 'choice', role: 'group', ariaLabel: 'Events shown'},
       ...Object.entries(KINDS).map(([one, text]) => h('button', {type: 'button', 'data-kind': one,
         onclick: () => this.#only(one)}, text)));
@@ -43,71 +56,81 @@ export class HistoryPanel {
     this.saves = ['csv', 'json'].flatMap((format) => [...of ? ['values'] : [], 'events'].map(
       (what) => h('a', {class: 'button small', download: `${what}.${format}`, 'data-what': what,
         'data-format': format}, `${what} as ${format.toUpperCase()}`)));
-    this.problem = h('p', {class: 'quiet', role: 'status'});
+    this.problem = h('p', {class: 'message', role: 'status'});
     this.zone = h('p', {class: 'quiet'}, `Times here: ${zone()}. Times in the files: UTC.`);
     this.levels = h('div', {class: 'levels', role: 'img', ariaLabel: 'State'});
     this.levels.hidden = true;
     this.graphs = h('div', {class: 'graphs'});
-    this.events = h('ol', {class: 'events', tabindex: 0, ariaLabel: 'Events'});
+    this.events = new EventList(pathAround);
+    this.cards = new HistoryCards((at, name) => `${path('history', name)}?${
+      new URLSearchParams({from: this.from, to: this.to, at: String(at)})}`);
     this.body = h('div', {class: 'past'},
-      h('div', {class: 'past-head'}, this.spans, this.begin, this.end), this.levels, this.graphs,
+      h('div', {class: 'past-head'}, this.spans, h('label', {}, 'From ', this.begin),
+        h('label', {}, 'To ', this.end)),
+      h('div', {class: 'player scrub'}, this.slider, this.when, this.live), this.levels, this.graphs,
       h('div', {class: 'past-head'}, this.kinds, this.pause.element,
-        ...this.saves), this.zone, this.events);
+        ...this.saves), this.zone,
+      h('div', {class: 'past-then'}, this.cards.element, this.events.element));
     this.element = h('div', {class: 'past'}, this.problem, this.body);
   }
 
-  #time(text) {
-    const input = h('input', {type: 'datetime-local', step: 1, ariaLabel: text,
-      onchange: () => this.#typed()});
+  #time(name, placeholder = '') {
+    const input = h('input', {placeholder, 'data-time': name, autocomplete: 'off',
+      spellcheck: 'false', title: '-10 min, 14:05, yesterday 9:00, 2026-11-28T14:05',
+      onchange: () => this.#choose(
+        ...['from', 'to'].map((one) => one === name ? input.value.trim() : this[one]))});
     return input;
   }
 
   close() { for (const plot of this.#plots.values()) plot.close(); }
 
-  get range() {
-    const to = this.to ?? this.now;
-    return [this.to === null ? to - this.from : this.from, to];
-  }
+  get #isLive() { return this.at === null && isRelative(this.to); }
 
   #choose(from, to) {
-    Object.assign(this, {from, to});
+    Object.assign(this, {from: from || this.usual, to});
+    if (isRelative(from) && !to) this.usual = this.from;
+    if (isRelative(to)) this.at = null;
+    this.#point();
+    this.#isTyped = true;
     this.#asked = -Infinity;
-    this.changed();
     this.update(this.store);
-  }
-
-  #typed() {
-    const [from, to] = [this.begin, this.end].map(({value}) => new Date(value).getTime() / 1000);
-    if (to - from >= LEAST_S) this.#choose(from, to);
-    else say(this.problem, 'The time shown must be at least a minute: choose a later end.');
   }
 
   #only(kind) {
     this.kind = kind;
     this.changed();
+    this.#showChoice();
     this.#showEvents();
   }
+
+  /** Look at a time: what is shown stays, until Live is pressed. */
+  #scrub(at) {
+    this.at = at;
+    this.#fix();
+    this.#showTime();
+    this.#showEvents();
+    this.#showCards();
+  }
+
+  /** From now on the time shown is that of the day. */
+  #fix() { [this.from, this.to] = this.#range.map((s) => String(Math.round(s))); }
 
   update(store) {
     this.store = store;
     this.now = store.wall(store.now());
-    for (const button of this.spans.children) {
-      set(button, 'aria-pressed', this.to === null && Number(button.dataset.span) === this.from);
-    }
     this.body.hidden = store.history === null;
     if (store.history === null) {
-      say(this.problem, `No history is recorded: ${store.facts.without}.`);
+      this.#say(`No history is recorded: ${store.facts.without}.`);
       return;
     }
     const now = performance.now() / 1000;
-    const isStill = this.to !== null || this.pause.isOn;
-    if (now - this.#asked < (isStill ? Infinity : AGAIN_S)) return;
+    if (now - this.#asked < (this.#isLive && !this.pause.isOn ? AGAIN_S : Infinity)) return;
     this.#asked = now;
     this.#ask();
   }
 
-  #query(range) {
-    const query = new URLSearchParams({from: range[0].toFixed(0), to: range[1].toFixed(0)});
+  #query(from, to) {
+    const query = new URLSearchParams({from, zone: offset(), ...to && {to}});
     if (this.of) query.set('of', this.of);
     else if (this.store.robot !== null) query.set('robot', this.store.robot);
     return query;
@@ -122,26 +145,106 @@ export class HistoryPanel {
 
   async #ask() {
     const number = ++this.#answer;
-    const range = this.range;
-    const query = this.#query(range);
-    for (const link of this.saves) {
-      set(link, 'href', `history/${link.dataset.what}?${query}&format=${link.dataset.format}`);
-    }
-    for (const [input, s] of [[this.begin, range[0]], [this.end, range[1]]]) {
-      if (document.activeElement !== input) input.value = local(s);
-    }
+    const query = this.#query(this.from, this.to);
+    this.#showChoice();
     try {
       const [events, values] = await Promise.all([get(`history/events?${query}${this.#bus()}`),
         this.of ? get(`history/values?${query}`) : null]);
       if (number !== this.#answer) return;
-      this.shown = [...events.events, ...gapsOf(events)].sort((a, b) => b[0] - a[0]);
-      this.isCut = events.events.length >= events.most;
-      say(this.problem, '');
-      this.#showValues(values, range);
-      this.#showEvents();
+      if (events.to - events.from < LEAST_S) {
+        throw new Error('to: less than a minute after from; write a later time');
+      }
+      this.#take(events, values);
     } catch (error) {
-      say(this.problem, `No history: ${error.message}`);
+      if (number === this.#answer) this.#complain(error);
     }
+  }
+
+  #complain(error) {
+    this.#say(error instanceof TypeError ? 'No history: no connection.' : error.message, 'error');
+  }
+
+  #say(text, state = null) {
+    say(this.problem, text);
+    set(this.problem, 'data-state', state);
+    for (const input of [this.begin, this.end]) {
+      set(input, 'aria-invalid', text.startsWith(`${input.dataset.time}:`) || null);
+    }
+  }
+
+  #take(events, values) {
+    const range = this.#range = [events.from, events.to];
+    if (this.at < range[0] || this.at > range[1]) this.at = null;
+    if (!isRelative(this.to) || this.at !== null) this.#fix();
+    else if (!isRelative(this.from)) this.from = String(Math.round(range[0]));
+    const query = this.#query(...range.map((s) => s.toFixed(0)));
+    query.delete('zone');
+    for (const link of this.saves) {
+      set(link, 'href', `history/${link.dataset.what}?${query}&format=${link.dataset.format}`);
+    }
+    this.shown = [...events.events, ...gapsOf(events)].sort((a, b) => b[0] - a[0]);
+    const isCut = events.events.length >= events.most;
+    this.#say(isCut ? `Only the newest ${plural(events.most, 'event')} are shown.` : '');
+    this.#showValues(values, range);
+    this.#showTime();
+    this.#showEvents();
+    this.#showCards();
+    if (this.#isTyped) this.changed();
+    this.#isTyped = false;
+  }
+
+  /** Say which time is looked at; the cursor of the plots is there. */
+  #showTime() {
+    const [from, to] = this.#range;
+    this.#showChoice();
+    set(this.slider, 'disabled', null);
+    set(this.slider, 'min', Math.floor(from));
+    set(this.slider, 'max', Math.ceil(to));
+    set(this.slider, 'step', Math.max(1, Math.round((to - from) / STEPS)));
+    this.slider.value = this.at ?? to;
+    const text = this.#isLive ? 'now' : clock(this.at ?? to, this.now);
+    set(this.slider, 'aria-valuetext', text);
+    say(this.when, text);
+    if (this.at !== null) this.#point();
+  }
+
+  /** Put the cursor of the plots where it is while no pointer moves it. */
+  #point() {
+    const cursor = this.at === null ? null : this.#range[1] - this.at;
+    for (const plot of this.#plots.values()) plot.point(cursor);
+  }
+
+  /** What somebody chose, also while there is no answer. */
+  #showChoice() {
+    set(this.live, 'aria-pressed', this.#isLive);
+    for (const button of this.spans.children) {
+      set(button, 'aria-pressed', this.to === '' && this.from === `-${button.dataset.span}`);
+    }
+    for (const button of this.kinds.children) {
+      set(button, 'aria-pressed', button.dataset.kind === this.kind);
+    }
+    for (const [input, given] of [[this.begin, this.from], [this.end, this.to]]) {
+      if (document.activeElement === input && !this.#isTyped) continue;
+      input.value = isUnix(given) ? clock(Number(given), this.now) : given;
+    }
+  }
+
+  /** What each part of the robot was at the time looked at: one question after the other. */
+  async #showCards() {
+    this.cards.element.hidden = this.of !== null || this.at === null;
+    if (this.cards.element.hidden || this.#cardsOf !== null) return;
+    const at = this.#cardsOf = this.at;
+    try {
+      const {sources} = await get(`history/values?${this.#query(String(at - LATEST_S), String(at))}`);
+      this.cards.show(sources, at, (name) => this.shown.find(([s, one, , kind]) =>
+        s <= at && one === name && kind !== 'error')?.[5]);
+    } catch (error) {
+      this.#complain(error);
+      return;
+    } finally {
+      this.#cardsOf = null;
+    }
+    if (this.at !== at) this.#showCards();
   }
 
   #showValues(answer, range) {
@@ -152,8 +255,8 @@ export class HistoryPanel {
     if (source) showLevels(this.levels, runsOf(source.levels, answer.step), range);
     each(this.graphs, values, ([name]) => name, ([name]) => this.#graph(name),
       (figureElement, [name, points]) => this.#plots.get(name).update(
-        [{name: name.replaceAll('_', ' '), unit: unitOf(name, source), points}],
-        range[1], {unix: (s) => s, gap}));
+        [{name: name.replaceAll('_', ' '), unit: unitOf(name, source), points,
+          step: answer.step}], range[1], {unix: (s) => s, gap}));
     for (const [name, plot] of this.#plots) {
       plot.cover(range[1] - range[0]);
       if (!values.some(([one]) => one === name)) {
@@ -165,46 +268,29 @@ export class HistoryPanel {
 
   #graph(name) {
     const plot = new Plot(name, 3600);
-    plot.onZoom = (zoom) => zoom && this.#choose(...widened(...zoom.map(Math.round)));
+    plot.onZoom = (zoom) => zoom && this.#choose(...widened(...zoom).map((s) => s.toFixed(0)));
+    plot.onCursor = (cursor) => {
+      if (cursor === null) this.#point();
+      else for (const other of this.#plots.values()) if (other !== plot) other.point(cursor);
+    };
     this.#plots.set(name, plot);
     return plot.element;
   }
 
   #showEvents() {
-    for (const button of this.kinds.children) {
-      set(button, 'aria-pressed', button.dataset.kind === this.kind);
-    }
-    const fits = ([, , , kind]) => !this.kind || kind === this.kind || kind === GAP
-      || (this.kind === 'finding' && kind === 'over');
-    const shown = (this.shown ?? []).filter(fits).map((event, index) => ({event, index}));
-    const lines = shown.length ? shown : [{event: null, index: 'none'}];
-    each(this.events, lines, ({index}) => index,
-      ({event}) => event ? makeEvent() : h('li', {class: 'quiet'}, 'No events in this time.'),
-      (item, {event}) => { if (event) this.#showEvent(item, event); });
-    if (this.isCut) {
-      say(this.problem, `Only the newest ${plural(this.shown.length, 'event')} are shown.`);
-    }
-  }
-
-  #showEvent(item, [at, name, , kind, level, text]) {
-    const [symbol, time, link, words] = item.children;
-    const state = LEVELS[level] ?? 'stale';
-    set(item, 'data-state', state);
-    setIcon(symbol, state);
-    say(time, clock(at, this.now));
-    set(link, 'href', `${path('history', name)}?from=${Math.floor(at) - AROUND_S}`
-      + `&to=${Math.floor(at) + AROUND_S}`);
-    link.hidden = kind === GAP;
-    say(link, name.replace(/^.*?: /, ''));
-    say(words, kind === 'over' ? `ended: ${text}` : text);
+    const fits = ([at, , , kind]) => (this.at === null || at <= this.at) && (!this.kind
+      || kind === this.kind || kind === GAP || (this.kind === 'finding' && kind === 'over'));
+    this.events.update((this.shown ?? []).filter(fits), this.now);
   }
 }
 
-/** When nothing was recorded, as lines among the events. */
+/** The address of a source around a time. */
+const pathAround = (at, name) => `${path('history', name)}?from=${Math.floor(at) - AROUND_S}`
+  + `&to=${Math.floor(at) + AROUND_S}&at=${Math.floor(at)}`;
+
+/** When nothing was recorded, as events. */
 const gapsOf = ({gaps}) => gaps.map(([from, to]) => [to, '', '', GAP, LEVELS.indexOf('stale'),
   `nothing was recorded from ${clock(from)} to ${clock(to)}`]);
-
-const makeEvent = () => h('li', {}, icon('ok'), h('time'), h('a'), h('span'));
 
 async function get(address) {
   const answer = await fetch(address, {cache: 'no-store'});
@@ -216,13 +302,6 @@ async function get(address) {
 function widened(from, to) {
   const missing = Math.max(0, LEAST_S - (to - from)) / 2;
   return [from - missing, to + missing];
-}
-
-/** Unix seconds as an input of date and time takes them: local time. */
-function local(s) {
-  const at = new Date(1000 * s);
-  const shifted = new Date(at.getTime() - 60_000 * at.getTimezoneOffset());
-  return shifted.toISOString().slice(0, 19);
 }
 
 /** Times of one level that follow each other: [[from, to, level], ...]. */

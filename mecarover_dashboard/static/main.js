@@ -7,7 +7,7 @@ import {DeviceView} from './device.js';
 import {Devices} from './devices.js';
 import {say, set, setIcon} from './dom.js';
 import {FindingView} from './finding.js';
-import {figure, plural, zone} from './format.js';
+import {dateTime, figure, plural, zone} from './format.js';
 import {HistoryView} from './history.js';
 import {listenToKeys} from './keys.js';
 import {LogView} from './log.js';
@@ -168,9 +168,8 @@ function announce(wrong, isAny) {
 
 /** What is printed carries its date. */
 function showPrinted() {
-  const now = new Date(store.wall(store.now()) * 1000);
-  say(at('printed'), `${now.toLocaleDateString('en-CA')} ${now.toLocaleTimeString('en-GB')} `
-    + `(${zone()}), ${store.facts.machine}`);
+  say(at('printed'),
+    `${dateTime(store.wall(store.now()))} (${zone()}), ${store.facts.machine}`);
 }
 
 function pip(name, state) {

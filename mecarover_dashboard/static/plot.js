@@ -80,6 +80,7 @@ export class Plot {
    * Show series [{name, unit, note, points: [[s, value or null] or [s, low, high, last], ...],
    * hasDots, isSampled, remove}] up to now (s): a dot for each point where they are far apart,
    * wherever they are samples; what its button does. All are in one unit, as it is reported.
+   * With `step` a point [s, low, high] is of so many s: together they are a band.
    * options: `low`, where the scale begins; `limits`, [[name, value], ...]; `gap`, s without a
    * point that break the line; `unix(s)`, the Unix time of a time; `timeOfDay(s)`, a text after
    * it; `zero`, s that are called now; `rest`, s between two moves of the plot.
@@ -206,9 +207,9 @@ export class Plot {
     const near = nearOf(this.#area, ...this.range);
     const mark = s !== null && isWithin(this.#mark, this.range) ? this.#mark : null;
     const rows = shown.map((one, index) => {
-      const value = readAt(one.points, s, near, gap);
+      const value = readAt(one.points, s, near, gap, one.step);
       return {...one, index, value, difference: mark !== null && differenceOf(
-        readAt(one.points, mark, near, gap), value)};
+        readAt(one.points, mark, near, gap, one.step), value)};
     });
     const when = s === null ? '' : unix ? ` at ${clock(unix(s))}`
       : ` at \u2212${spanText(this.#zero - s)}${timeOfDay(s)}`;
@@ -236,7 +237,8 @@ const isWithin = (s, [from, to]) => s !== null && s >= from && s <= to;
 /** What makes two series differ: the name, and whether there is a point. */
 const nameOf = ({name, points}) => `${name} ${points.length > 0}`;
 
-function written({value, unit}) {
+/** The text of a value of readAt(). */
+export function written({value, unit}) {
   if (!value) return 'no data';
   const {low, high, isBetween} = value;
   if (!isInRange(low) || !isInRange(high)) return 'out of range';

@@ -1,0 +1,139 @@
+// Copyright 2026 The mecarover_serial authors
+// SPDX-License-Identifier: Apache-2.0
+// The list of events, grouped by cause: how often, when first and last; opened, each of them.
+
+import {each, h, icon, say, set, setIcon} from './dom.js';
+import {clock, list, plural} from './format.js';
+import {LEVELS, worst} from './store.js';
+
+export const GAP = 'gap';      // the kind of an event: nothing was recorded
+const OF_DEVICE = /^(\d{3}): ([^]*)$/;          // the text of an error
+const OF_SOURCE = /: (\d{3})\b/;                // the name of a device
+const LOSS_S = 10;             // answers missed so long before a device is lost are part of that
+const nameOf = (name) => name.replace(/^.*?: /, '');
+const stateOf = ([, , , , level]) => LEVELS[level] ?? 'stale';
+const isEnd = ([, , , kind, level]) => kind === 'over' || (kind === 'state' && level === 0);
+
+/**
+ * Events [at, name, robot, kind, level, text], the newest first, by cause: [{key, state, who, text,
+ * count, first, last, isOver, events}, ...]. A cause may have several devices, and figures that
+ * change. To it belong that a device is well again, and the answers missed before it was lost.
+ */
+export function causesOf(events) {
+  const causes = new Map();
+  const open = new Map();      // the cause of the state that each source is in, where that is not OK
+  const lossOf = lossesOf(events);
+  for (const event of [...events].reverse()) {
+    const [, name, robot, kind] = event;
+    const source = `${robot} ${name} ${kind === 'state' ? '' : causeOf(event)}`;
+    const begun = lossOf(event) ?? event;
+    const key = isEnd(event) && open.get(source) || `${robot} ${causeOf(begun)}`;
+    if (!causes.has(key)) causes.set(key, {key, kind: begun[3], events: [], open: new Set()});
+    const cause = causes.get(key);
+    cause.events.unshift(event);
+    causes.get(open.get(source))?.open.delete(source);
+    open.delete(source);
+    if (isEnd(event) || kind === 'error' || kind === GAP) continue;
+    open.set(source, key);
+    cause.open.add(source);
+  }
+  return [...causes.values()].map(summary).sort((a, b) => b.last - a.last);
+}
+
+/** A function from an error to the loss of its device soon after; undefined: there is none. */
+function lossesOf(events) {
+  const losses = new Map();
+  for (const event of events) {
+    const [, id] = OF_SOURCE.exec(event[1]) ?? [];
+    if (!id || event[3] !== 'state' || isEnd(event)) continue;
+    const key = `${event[2]} ${id}`;
+    losses.set(key, [...losses.get(key) ?? [], event]);
+  }
+  return ([at, , robot, kind, , text]) => kind !== 'error' ? undefined
+    : losses.get(`${robot} ${OF_DEVICE.exec(text)?.[1]}`)
+      ?.find(([lost]) => lost >= at && lost - at < LOSS_S);
+}
+
+/** What events of one cause have in common. */
+function causeOf([, , , kind, , text]) {
+  if (kind === 'finding') return `finding ${text.split(': ')[0]}`;
+  if (kind === 'over') return `finding ${text}`;
+  if (kind === GAP) return GAP;
+  return `${kind} ${(OF_DEVICE.exec(text)?.[2] ?? text).replace(/\d+([.,]\d+)?/g, '#')}`;
+}
+
+function summary({key, kind: ofAll, events, open}) {
+  const begins = events.filter((event) => !isEnd(event) && event[3] === ofAll);
+  const some = begins.length ? begins : events;
+  const who = [...new Set(some.map(([, name, , kind, , text]) =>
+    kind === 'error' && OF_DEVICE.exec(text)?.[1] || nameOf(name)))].sort();
+  const [, , , kind, , text] = some[0];
+  return {key, events, who, count: some.length, state: worst(some.map(stateOf)),
+    text: kind === 'error' && OF_DEVICE.exec(text)?.[2] || (kind === 'over' ? spelt(some[0]) : text),
+    first: events.at(-1)[0], last: events[0][0],
+    isOver: begins.length > 0 && ofAll !== 'error' && ofAll !== GAP && !open.size};
+}
+
+const spelt = ([, , , kind, , text]) => kind === 'over' ? `ended: ${text}` : text;
+
+export class EventList {
+  /** hrefOf(at, name): the address of what happened to a source around a time. */
+  constructor(hrefOf) {
+    this.hrefOf = hrefOf;
+    this.element = h('ol', {class: 'events', tabindex: 0, ariaLabel: 'Events'});
+  }
+
+  /** Show events, the newest first; now: Unix s. */
+  update(events, now) {
+    this.now = now;
+    const items = causesOf(events);
+    each(this.element, items.length ? items : [{key: '', events: []}],
+      ({key, events: {length}}) => `${key} ${Math.min(2, length)}`,
+      ({events: {length}}) => length > 1 ? this.#makeCause() : length ? makeEvent()
+        : h('li', {class: 'quiet'}, 'No events in this time.'),
+      (item, cause) => {
+        if (cause.events.length > 1) this.#showCause(item, cause);
+        else if (cause.events.length) this.#showEvent(item, cause.events[0]);
+      });
+  }
+
+  #makeCause() {
+    const item = h('li', {}, h('details', {ontoggle: () => this.#showOpen(item)}, h('summary', {},
+      icon('ok'), h('time'), h('b'), h('span'), h('small')), h('ol')));
+    return item;
+  }
+
+  #showCause(item, cause) {
+    const [symbol, time, who, text, often] = item.firstChild.firstChild.children;
+    item.events = cause.events;
+    set(item.firstChild.firstChild, 'data-state', cause.state);
+    setIcon(symbol, cause.state);
+    say(time, clock(cause.last, this.now));
+    say(who, list(cause.who));
+    say(text, cause.text);
+    say(often, [cause.count > 1 && plural(cause.count, 'time'),
+      cause.first < cause.last && `first ${clock(cause.first, this.now)}`,
+      cause.isOver && 'ended'].filter(Boolean).join(', '));
+    this.#showOpen(item);
+  }
+
+  #showOpen(item) {
+    const [{open}, lines] = [item.firstChild, item.firstChild.lastChild];
+    each(lines, open ? item.events.map((event, index) => ({event, index})) : [],
+      ({index}) => index, makeEvent, (line, {event}) => this.#showEvent(line, event));
+  }
+
+  #showEvent(item, event) {
+    const [symbol, time, link, words] = item.children;
+    const [at, name] = event;
+    set(item, 'data-state', stateOf(event));
+    setIcon(symbol, stateOf(event));
+    say(time, clock(at, this.now));
+    set(link, 'href', name && this.hrefOf(at, name));
+    link.hidden = !name;
+    say(link, nameOf(name));
+    say(words, spelt(event));
+  }
+}
+
+const makeEvent = () => h('li', {}, icon('ok'), h('time'), h('a'), h('span'));
