@@ -78,7 +78,7 @@ COUNTERS = dict.fromkeys(('Bytes', 'Packet Bytes', 'Packets', 'Instructions', 'N
 
 
 def case(*devices, notes=(), counters=None, marks=None, samples=None, repeats=None, rhythms=None,
-         steady=None, quiet_s=0.0, loop=((), ()), **report):
+         steady=None, quiet_s=0.0, loop=((), ()), turned=(), **report):
     """Return a bus of 1 MBd, heard since 60 s. marks: what was counted, by how long ago (s)."""
     by_kind = {}
     for one in notes:
@@ -94,7 +94,7 @@ def case(*devices, notes=(), counters=None, marks=None, samples=None, repeats=No
               for age, values in sorted((marks or {10: {}, 0: {}}).items(), reverse=True)),
         {number: deque(some) for number, some in (samples or {}).items()}, repeats or {},
         rhythms or [], steady or set(), loop=loop[0], late=loop[1])
-    found.quiet_s, found.run_from = quiet_s, told.started
+    found.quiet_s, found.run_from, found.turned = quiet_s, told.started, {*turned}
     return found
 
 
