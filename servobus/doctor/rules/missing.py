@@ -552,7 +552,7 @@ def operating_mode(case: Case, device: DeviceReport) -> Found | None:
 
 
 def _is_on_and_never_moved(case: Case, device: DeviceReport, place: Observed) -> bool:
-    """Tell whether no goal ever moved a joint whose torque the program switched on."""
+    """Tell whether no goal ever moved a joint after the program switched its torque on."""
     torque = case.values[device.id].get('Torque Enable')
     mode = device.model.by_name.get('Operating Mode')
     return torque is not None and torque.source == 'w' and torque.value.raw == 1 \
