@@ -524,9 +524,11 @@ def operating_mode(case: Case, device: DeviceReport) -> Found | None:
     Do: write its Operating Mode.
     """
     values = case.values[device.id]
-    goal, place, mode = values['Goal Position'], values[_PLACE], values.get('Operating Mode')
-    if goal.source != 'w' or place.source != 'r' or place.age_s > STOPPED_MIN_S or device.alert \
-            or is_off(values.get('Torque Enable')):
+    goal, place = values['Goal Position'], values[_PLACE]
+    if goal.source != 'w' or place.source != 'r' or place.age_s > STOPPED_MIN_S or device.alert:
+        return None
+    torque, mode = values.get('Torque Enable'), values.get('Operating Mode')
+    if is_off(torque):
         return None
     is_feetech = device.model.protocol == 'feetech'
     if mode is not None and (mode.value.raw in _POSITION_MODES[is_feetech] or (
@@ -535,31 +537,34 @@ def operating_mode(case: Case, device: DeviceReport) -> Found | None:
     remedy = 'write its angle limits: with 0 in both it is a wheel' \
         if device.model.protocol == '1' else 'write 0 (position) to Operating Mode, with Lock 0' \
         if is_feetech else 'switch its torque off, write 3 (position) to Operating Mode'
-    if is_of_one_turn(goal.field) and _turns_past_goals(case, device):
+    if device.id in case.turned and _turns_past_goals(case, device) \
+            and is_of_one_turn(goal.field):
         return Claim('its goals are within one turn, and it turns on and on past them, as in '
                      f'velocity or PWM mode: {remedy}', rests_on=_PLACE_AND_MODE)
+    if mode is None and (torque is None or torque.source != 'w' or device.id in case.turned
+                         or not _may_have_other_mode(case, device)):
+        return None
     samples = _since_it_moved(_recent_samples(case, device.id))
     if not _does_not_follow(samples):
         return None
     if mode is not None:
         return Claim(f'its Operating Mode is {mode.value.text}, in which goal positions do '
                      f'nothing: {remedy}', rests_on=_PLACE_AND_MODE)
-    if not _is_on_and_never_moved(case, device, place) or not _others_move(case, device, samples):
+    if not _others_move(case, device, samples) or not is_watched(case, device, place) \
+            or not _is_ignored([*case.samples[device.id]], 0.1 / (place.field.scale or 0.001),
+                               may_hold=False):
         return None
     return Claim('it alone never moved, though its torque was switched on and its goals changed: '
                  'read Operating Mode (in current, velocity or PWM mode goal positions do '
                  f'nothing: {remedy}), or check what blocks it', rests_on=_PLACE_AND_MODE)
 
 
-def _is_on_and_never_moved(case: Case, device: DeviceReport, place: Observed) -> bool:
-    """Tell whether no goal ever moved a joint after the program switched its torque on."""
-    torque = case.values[device.id].get('Torque Enable')
+def _may_have_other_mode(case: Case, device: DeviceReport) -> bool:
+    """Tell whether a servo has modes, and nothing else is known to keep it from moving."""
     mode = device.model.by_name.get('Operating Mode')
-    return torque is not None and torque.source == 'w' and torque.value.raw == 1 \
-        and device.id not in case.turned and not _absences(case, device) \
-        and mode is not None and mode.name == 'Operating Mode' \
-        and not _force_at_zero(case, device) and is_watched(case, device, place) \
-        and _is_ignored([*case.samples[device.id]], 0.1 / (place.field.scale or 0.001), False)
+    return mode is not None and mode.name == 'Operating Mode' \
+        and raw_value(case, device, 'Torque Enable') == 1 and not _force_at_zero(case, device) \
+        and not _absences(case, device)
 
 
 def _force_at_zero(case: Case, device: DeviceReport) -> str:
@@ -569,7 +574,12 @@ def _force_at_zero(case: Case, device: DeviceReport) -> str:
 
 def _turns_past_goals(case: Case, device: DeviceReport) -> bool:
     """Tell whether a joint goes half a turn and more in one way, away from goals in one turn."""
-    known = [(one.goal, one.position) for one in case.samples.get(device.id, ())
+    samples = case.samples[device.id]
+    if len(samples) <= INCIDENTS_MIN \
+            or -GOAL_FAR_STEPS <= (samples[-1].position or 0) - (samples[-2].position or 0) \
+            <= GOAL_FAR_STEPS:
+        return False                           # it does not turn now
+    known = [(one.goal, one.position) for one in samples
              if one.goal is not None and one.position is not None]
     if not all(0 <= goal < TURN_STEPS and 0 <= place < TURN_STEPS for goal, place in known):
         return False

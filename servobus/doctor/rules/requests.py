@@ -334,7 +334,8 @@ def goal_limits(case: Case, device: DeviceReport) -> Found | None:
         if f'Goal {name}' in values and f'{name} Limit' in values \
                 and (beyond := _rate_beyond(name, values)):
             return beyond
-    if 'Goal Velocity' in values and (otherwise := _sign_otherwise(values['Goal Velocity'])):
+    if device.model.protocol == FEETECH.protocol and 'Goal Velocity' in values \
+            and (otherwise := _sign_otherwise(values['Goal Velocity'])):
         return otherwise
     return _position_beyond(case, device) if 'Goal Position' in values else None
 
