@@ -45,7 +45,8 @@ _COMMON = ('Torque Enable', 'Goal Position', 'Goal Velocity', 'Present Position'
            'Hardware Error Status', 'Lock', 'ID', 'Baud Rate')
 _BASIC = ('ID', 'Baud Rate', 'Lock')
 # These too where the program uses just them, and they are the same in all tables that are left.
-_WHERE_USED = ('Min Position Limit', 'Max Position Limit', 'Operating Mode', 'Torque Limit')
+_WHERE_USED = ('Min Position Limit', 'Max Position Limit', 'CW Angle Limit', 'CCW Angle Limit',
+               'Operating Mode', 'Torque Limit')
 POSITIONS = ('Goal Position', 'Present Position')      # signed in some tables
 GOAL_AT, PLACE_AT = 42, 56         # positions of Feetech
 # What a register can hold, in its unit. Of positions: by size, in rad and in steps.

@@ -66,7 +66,8 @@ GOALS_BEYOND_MIN = 2               # one may be a slip of a person
 STILL_MIN_REPORTS = 6              # at rest in so many reports: it is not on its way
 WORD = 65_536
 _RATES = 'Velocity', 'Current', 'PWM'
-_MIN_POSITION, _MAX_POSITION = 'Min Position Limit', 'Max Position Limit'
+_POSITION_LIMITS = 'Min Position Limit', 'Max Position Limit'
+_ANGLE_LIMITS = 'CW Angle Limit', 'CCW Angle Limit'    # with Protocol 1.0
 EEPROM_WRITES_MIN = 30             # in 10 s: no start-up writes as many
 POLLED_MIN_READS = 20              # from a device that was never written
 POLLED_MIN_S = 3.0                 # by then each is written that will be, and models are known
@@ -385,7 +386,7 @@ def _sign_otherwise(goal: Observed) -> Found | None:
 def _meant(field: Field, raw: float, low: float, high: float) -> str:
     """Return what a value that cannot be may have been meant as, as words in brackets."""
     swapped = _swapped(field, raw)
-    if low <= swapped <= high:
+    if low <= swapped <= high and abs(raw) > 2 * high:             # not just beyond
         return f' (in the other order of bytes it is {swapped})'
     is_negative = WORD // 2 <= raw < WORD and WORD - raw < raw % SIGN_BIT
     return f' (as two bytes with sign it is {raw - WORD:.0f})' if is_negative else ''
@@ -407,11 +408,14 @@ def _position_beyond(case: Case, device: DeviceReport) -> Found | None:
         return None
     if is_feetech and (swapped := _goals_swapped(case, device, goal.field)):
         return swapped
-    if _MIN_POSITION in values and _MAX_POSITION in values:
-        low, high = values[_MIN_POSITION].value.raw, values[_MAX_POSITION].value.raw
-        if low < high and (is_feetech or (has_mode and high - low < TURN_STEPS - 1)):
-            return _goals_held_back(case, device, low, high)
-    if device.model.protocol == '1' or (is_feetech and _MIN_POSITION in values) \
+    names = _ANGLE_LIMITS if device.model.protocol == '1' else _POSITION_LIMITS
+    if names[1] in values and (names[0] in values or device.model.protocol != '2'):
+        low, high = (raw_value(case, device, name) or 0 for name in names)
+        # With both at the end of a turn, an MX counts turns; both 0 are no limits.
+        if low < high and (is_feetech or (names[0] in values and device.model.protocol == '1') or (
+                high - low < TURN_STEPS - 1 and (has_mode or device.model.protocol == '1'))):
+            return _goals_held_back(case, device, names, low, high)
+    if device.model.protocol == '1' or (is_feetech and not values.keys().isdisjoint(names)) \
             or not is_of_one_turn(goal.field):
         return None                            # Feetech: both are 0 where it has none
     return _goals_beyond_a_turn(case, device, goal.field, has_mode)
@@ -438,7 +442,7 @@ def _goals_swapped(case: Case, device: DeviceReport, field: Field) -> Found | No
                  rests_on=('Goal Position',))
 
 
-def _goals_held_back(case: Case, device: DeviceReport, low: float,
+def _goals_held_back(case: Case, device: DeviceReport, names: tuple[str, str], low: float,
                      high: float) -> Found | None:
     """Look for goals beyond limits that were read."""
     beyond = {one.goal for one in case.samples.get(device.id, ())
@@ -450,8 +454,8 @@ def _goals_held_back(case: Case, device: DeviceReport, low: float,
     effect = 'it stops there' if device.model.protocol == FEETECH.protocol else 'it refuses them'
     return Claim(f'goals beyond its limits of {low} to {high} are sent'
                  f'{_meant(field, farthest, low, high)}: {effect}; keep goals within them, or '
-                 'set wider ones (Min and Max Position Limit)', {'the farthest': farthest},
-                 rests_on=('Goal Position', _MIN_POSITION, _MAX_POSITION))
+                 f'set wider ones ({names[0].partition(" ")[0]} and {names[1]})',
+                 {'the farthest': farthest}, rests_on=('Goal Position', *names))
 
 
 def _goals_beyond_a_turn(case: Case, device: DeviceReport, field: Field,
