@@ -192,8 +192,8 @@ def _waits(us, device=1, times=1, ago_s=0.0, spoilt=False, asks='READ'):
     return [Wait(NOW - int(ago_s * S), us, device, spoilt, I[asks])] * times
 
 
-def _sample(ago_s, goal=None, position=None, tick=None, voltage=None):
-    return Sample(NOW - int(ago_s * S), goal, position, tick, voltage)
+def _sample(ago_s, *values):
+    return Sample(NOW - int(ago_s * S), *[*values, None, None, None, None][:5])
 
 
 def _mark(totals=None, **counted):

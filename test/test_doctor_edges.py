@@ -107,6 +107,27 @@ def test_a_mode_that_was_written_after_the_goals_is_not_theirs(mode_s, is_told):
     assert len(claims('operating_mode', devices=[one], samples={1: samples})) == is_told
 
 
+def jumped(torque_s=1.0, goal_s=3.0, was_on=0, far=201, left=20, after_s=0.1, source='w'):
+    """Return what is found where a servo goes to a goal as its torque is switched on."""
+    one = device(registers={'Present Position': 5})
+    one = one._replace(observed=one.observed + seen(one, {'Goal Position': 2000}, 'w', goal_s)
+                       + seen(one, {'Torque Enable': 1}, source, torque_s))
+    samples = [Sample(NOW - int(ago_s * S), 2000, place, None, None, torque)
+               for ago_s, place, torque in ((torque_s + 0.3, 2000 + far, was_on),
+                                            (torque_s - after_s, 2000 + left, 1))]
+    return [found.message[:30] for found in claims('torque_jump', devices=[one],
+                                                     samples={1: samples})]
+
+
+@pytest.mark.parametrize(('but', 'is_told'), [
+    ({}, True), ({'far': 200}, False), ({'left': 21}, False), ({'was_on': 1}, False),
+    ({'was_on': None}, False), ({'goal_s': 1.0}, False), ({'source': 'r'}, False),
+    ({'torque_s': 10.0, 'goal_s': 20.0}, False),
+    ({'torque_s': 2.0, 'after_s': 1.0}, False), ({'torque_s': 2.0, 'after_s': 0.999}, True)])
+def test_a_servo_jumps_to_an_old_goal_as_its_torque_is_switched_on(but, is_told):
+    assert jumped(**but) == ['its torque was switched on 201'] * is_told
+
+
 @pytest.mark.parametrize('volts', [9, 63, 136])
 def test_a_voltage_within_its_limits_is_none_to_tell(volts):
     assert claims('voltage', devices=[device(registers={'Present Input Voltage': volts})]) == []

@@ -54,6 +54,7 @@ from servobus.doctor.thresholds import LONG_WAIT_MS
 from servobus.doctor.thresholds import SPEED_MIN
 from servobus.doctor.thresholds import STILL_MAX_STEPS
 from servobus.doctor.thresholds import TURN_STEPS
+from servobus.doctor.thresholds import WINDOW_S
 
 AWAY_MIN_MS = 100                  # shorter than any start; longer than an answer or two lost
 DIP_MAX_SHARE = 0.9                # share of the voltage now: lower before, and the supply sagged
@@ -62,6 +63,7 @@ TICK_TURN_S, TICK_SLACK_S = 32.768, 0.5        # Realtime Tick begins at 0 again
 MISSED_MIN_SHARE = 0.01            # share of its answers; fewer are lost on a healthy bus too
 LATE_MIN_SHARE = 0.1               # share of its answers; fewer are late by chance
 ACKS_MISSED_LIMIT = 4              # as `missed_limit`
+JUMP_NS = NS_PER_S                 # slower, it is a motion that somebody set
 GOAL_MOVES_STEPS = 20              # a goal that changes less may be held by friction
 STOPPED_MIN_S = 1.0                # two reports at the usual 2 Hz: one may be before it starts
 STILL_MIN_S = 2.5                  # the same where its torque was not read
@@ -593,13 +595,36 @@ def _turns_past_goals(case: Case, device: DeviceReport) -> bool:
         and away >= INCIDENTS_MIN
 
 
+@Rule(level=Level.OK, needs_registers={'Goal Position', _PLACE, 'Torque Enable'})
+def torque_jump(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Torque was switched on far from its goal: it jumped there.
+
+    Do: write its position as goal first.
+    """
+    values = case.values[device.id]
+    torque, goal = values['Torque Enable'], values['Goal Position']
+    if torque.source != 'w' or torque.value.raw != 1 or goal.source != 'w' \
+            or not torque.age_s < min(goal.age_s, WINDOW_S):
+        return None
+    since = case.stamp_ago(torque.age_s)
+    known = [one for one in case.samples[device.id] if one.position is not None]
+    before = [one for one in known if one.stamp < since]
+    after = [one for one in known if since < one.stamp < since + JUMP_NS]
+    if not before or not after or before[-1].torque != 0:
+        return None
+    way, left = (abs(goal.value.raw - (one[-1].position or 0)) for one in (before, after))
+    if way <= GOAL_FAR_STEPS or left > GOAL_MOVES_STEPS:
+        return None
+    return Claim(f'its torque was switched on {way:.0f} steps from its old goal, and it went '
+                 'there at once: write its position to Goal Position before')
+
+
 @Rule(onset_s=TURN_ONSET_S, needs_registers={'Goal Velocity', 'Present Velocity'},
       symptoms={'joint at rest'})
 def wheel_stopped(case: Case, device: DeviceReport) -> Found | None:
     """
     A velocity is asked for, and it never turns.
-
-    What holds something after it has turned is a doubt.
 
     Do: read Velocity Limit, Torque Enable and Operating Mode.
     """
@@ -677,9 +702,7 @@ def _is_ignored(samples: list[Sample], least: float, may_hold: bool) -> bool:
       accounts_for={*SILENCE, 'absence', 'restart', 'no acknowledgements'})
 def ping_only(case: Case, device: DeviceReport) -> Found | None:
     """
-    Answers Ping and nothing else, since the program began or again and again.
-
-    Or the program ended on the first write or read to it.
+    Answers Pings only, or the program ended on its first write or read.
 
     Do: write 2 to Status Return Level, 1 for reads alone.
     """
@@ -726,4 +749,4 @@ def missed_answers(case: Case, device: DeviceReport) -> Found | None:
 
 
 RULES = (brown_out, all_silent, broken_cable, sync_read_stops, no_answer, rebooted, torque_off,
-    operating_mode, wheel_stopped, ping_only, dropout, missed_answers)
+    operating_mode, torque_jump, wheel_stopped, ping_only, dropout, missed_answers)
