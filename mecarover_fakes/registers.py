@@ -19,7 +19,7 @@ from servobus.model.control_table import Model
 
 OK, RESULT_FAIL, INSTRUCTION, RANGE, LENGTH, LIMIT, ACCESS = 0, 1, 2, 4, 5, 6, 7
 POSITION_CONTROL = 3             # a value of Operating Mode
-TURN_STEPS = 4096                # of the X and MX series: limits of others are not simulated
+TURN_STEPS = 4096                # the X and MX series have these; others keep no limits
 _LIMITS = 'Min Position Limit', 'Max Position Limit'
 _ANGLE_LIMITS = 'CW Angle Limit', 'CCW Angle Limit'
 WATCHDOG_TRIPPED = 0xFF
