@@ -115,6 +115,7 @@ def jumped(torque_s=1.0, goal_s=3.0, was_on=0, far=201, left=20, after_s=0.1, so
     samples = [Sample(NOW - int(ago_s * S), 2000, place, None, None, torque)
                for ago_s, place, torque in ((torque_s + 0.3, 2000 + far, was_on),
                                             (torque_s - after_s, 2000 + left, 1))]
+    samples.insert(1, samples[0]._replace(goal=None, torque=None))     # between two reports
     return [found.message[:30] for found in claims('torque_jump', devices=[one],
                                                      samples={1: samples})]
 

@@ -73,8 +73,7 @@ def test_no_register_is_named_wrongly(left_out, least):
 @pytest.mark.parametrize(('protocol', 'used', 'name', 'position'), rows_of(
     Path(__file__).with_name('layouts.tsv')))
 def test_a_use_says_which_registers_those_are(protocol, used, name, position):
-    orders = {'little': layout.LITTLE, 'big': layout.BIG, 'sent_little': layout.SENT_LITTLE,
-              'sent_big': layout.SENT_BIG}
+    orders = {'little': layout.LITTLE, 'big': layout.BIG}
     found = ALL.find_layout(protocol, frozenset(
         orders.get(one) or tuple(map(int, one.split('+'))) for one in used.split()))
     said = found.by_name.get('Present Position')
@@ -82,12 +81,9 @@ def test_a_use_says_which_registers_those_are(protocol, used, name, position):
 
 
 def test_a_position_says_its_order_of_bytes():
-    for at, (little, big) in enumerate(((layout.LITTLE, layout.BIG),
-                                        (layout.SENT_LITTLE, layout.SENT_BIG))):
-        # -1 and a whole turn of an STS are no numbers of an SCS
-        found = [layout.orders_of(*[None] * at, bytes(one), *[None] * (1 - at)) for one in (
-            (0xf3, 9), (2, 0x84), (3, 3), (1, 15), (1, 0x80), (0, 0x10))]
-        assert found == [{little}, {big}, set(), set(), set(), set()]
+    found = [layout.order_of(bytes(one)) for one in (
+        (0xf3, 9), (2, 0x84), (3, 3), (1, 15), (1, 0x80), (0, 0x10))]   # -1, a whole turn
+    assert found == [{layout.LITTLE}, {layout.BIG}, set(), set(), set(), set()]
 
 
 def asked(*used):

@@ -608,7 +608,8 @@ def torque_jump(case: Case, device: DeviceReport) -> Found | None:
             or not torque.age_s < min(goal.age_s, WINDOW_S):
         return None
     since = case.stamp_ago(torque.age_s)
-    known = [one for one in case.samples[device.id] if one.position is not None]
+    known = [one for one in case.samples[device.id]
+             if one.torque is not None and one.position is not None]
     before = [one for one in known if one.stamp < since]
     after = [one for one in known if since < one.stamp < since + JUMP_NS]
     if not before or not after or before[-1].torque != 0:
