@@ -53,7 +53,7 @@ def seen(device, registers, source='r', age_s=0.5):
 
 
 def device(number=1, model='XL430-W250', state=words.CONNECTED, registers=None, written=None,
-           age_s=0.5, totals=None, delay=None, window=None, **other):
+           age_s=0.5, totals=None, delay=None, window=None, sent=None, **other):
     found = MODELS.by_name(model) if model else None
     one = DeviceReport(
         number, f'{number:03}', '', words.PROTOCOL_2, found or UNKNOWN,
@@ -61,7 +61,9 @@ def device(number=1, model='XL430-W250', state=words.CONNECTED, registers=None, 
         Counts(**(totals or {})), Counts(**(window or {})), 0, None, 0.1, False, '', None, None, 0,
         (), 0, ReplyLatency(delay, None, 1.0), {})._replace(**other)
     return one._replace(observed=seen(one, registers or {}, age_s=age_s)
-                        + seen(one, written or {}, 'w', age_s))
+                        + seen(one, written or {}, 'w', age_s)
+                        + tuple(found for name, (raw, ago_s) in (sent or {}).items()
+                                for found in seen(one, {name: raw}, 'w', ago_s)))
 
 
 def note(kind, detail, count, number=1, every_ms=300.0, ago_s=0.0):

@@ -17,7 +17,6 @@ from doctor_case import MODELS
 from doctor_case import note
 from doctor_case import NOW
 from doctor_case import S
-from doctor_case import seen
 from doctor_case import speaks_from_its_edge_on
 import pytest
 import yaml
@@ -99,34 +98,11 @@ def test_goals_of_a_mode_that_was_refused_need_no_wider_limits(errors, registers
 
 @pytest.mark.parametrize(('mode_s', 'is_told'), [(0.6, True), (0.5, False)])
 def test_a_mode_that_was_written_after_the_goals_is_not_theirs(mode_s, is_told):
-    one = device(registers={'Present Position': 5})
-    one = one._replace(observed=one.observed + seen(one, {'Goal Position': 120}, 'w', age_s=0.55)
-                       + seen(one, {'Operating Mode': 1}, 'w', age_s=mode_s))
+    one = device(registers={'Present Position': 5},
+                 sent={'Goal Position': (120, 0.55), 'Operating Mode': (1, mode_s)})
     samples = [Sample(NOW - int(ago_s * S), goal, place, None, None) for ago_s, goal, place in (
         (1.05, 1000, 1000), (1, 100, 200), (0, 120, 206))]
     assert len(claims('operating_mode', devices=[one], samples={1: samples})) == is_told
-
-
-def jumped(torque_s=1.0, goal_s=3.0, was_on=0, far=201, left=20, after_s=0.1, source='w'):
-    """Return what is found where a servo goes to a goal as its torque is switched on."""
-    one = device(registers={'Present Position': 5})
-    one = one._replace(observed=one.observed + seen(one, {'Goal Position': 2000}, 'w', goal_s)
-                       + seen(one, {'Torque Enable': 1}, source, torque_s))
-    samples = [Sample(NOW - int(ago_s * S), 2000, place, None, None, torque)
-               for ago_s, place, torque in ((torque_s + 0.3, 2000 + far, was_on),
-                                            (torque_s - after_s, 2000 + left, 1))]
-    samples.insert(1, samples[0]._replace(goal=None, torque=None))     # between two reports
-    return [found.message[:30] for found in claims('torque_jump', devices=[one],
-                                                     samples={1: samples})]
-
-
-@pytest.mark.parametrize(('but', 'is_told'), [
-    ({}, True), ({'far': 200}, False), ({'left': 21}, False), ({'was_on': 1}, False),
-    ({'was_on': None}, False), ({'goal_s': 1.0}, False), ({'source': 'r'}, False),
-    ({'torque_s': 10.0, 'goal_s': 20.0}, False),
-    ({'torque_s': 2.0, 'after_s': 1.0}, False), ({'torque_s': 2.0, 'after_s': 0.999}, True)])
-def test_a_servo_jumps_to_an_old_goal_as_its_torque_is_switched_on(but, is_told):
-    assert jumped(**but) == ['its torque was switched on 201'] * is_told
 
 
 @pytest.mark.parametrize('volts', [9, 63, 136])

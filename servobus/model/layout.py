@@ -29,7 +29,10 @@ Use = tuple[int, int]              # address and size of what a program reads or
 REGISTERS_NEEDED = 3  # different registers, Torque Enable or a goal among them; or both positions
 USE_MAX_BYTES = 16                       # bytes: a longer read takes all there is, gaps too
 NOWHERE = (-1, 1)                  # a use that no table has
-LITTLE, BIG = (-2, 1), (-2, 2)     # reads only of positions that make sense in this order of bytes
+# Uses only of numbers that make sense in this order of bytes: of positions, and of goals, which
+# a program may send wrongly.
+LITTLE, BIG = (-2, 1), (-2, 2)
+SENT_LITTLE, SENT_BIG = (-3, 1), (-3, 2)
 LAYOUTS_KEPT = 256
 # Series whose names do not begin with their letters. MX(2.0) has the table of the X series.
 _SERIES = {'X': r'2?X[A-Z]\d|2X|MX-\d+$', 'P': r'P[HM]\d', 'PRO(A)': r'[HM]\d\d-.*\(A\)',
@@ -45,7 +48,7 @@ _BASIC = ('ID', 'Baud Rate', 'Lock')
 _WHERE_USED = ('Min Position Limit', 'Max Position Limit', 'CW Angle Limit', 'CCW Angle Limit',
                'Operating Mode', 'Torque Limit')
 POSITIONS = ('Goal Position', 'Present Position')      # signed in some tables
-PLACE_AT = 56                      # Present Position of Feetech
+PLACE_AT, GOAL_AT = 56, 42         # positions of Feetech
 # What a register can hold, in its unit. Of positions: by size, in rad and in steps.
 _RANGES = {'Torque Enable': 1, 'Present Temperature': 120, 'Present Input Voltage': 400}
 _FARTHEST = {2: (2 * pi, 4095), 4: (512 * pi, 1 << 22)}
@@ -82,9 +85,8 @@ class Layouts:
 
 def agreed_model(tables: Iterable[Model], used: Collection[Use]) -> Model:
     """Return the registers on which all tables agree that have what is used; or UNKNOWN."""
-    orders = [name for name, use in (('little', LITTLE), ('big', BIG)) if use in used]
-    order = orders[0] if len(orders) == 1 else ''      # both: neither is certain
-    uses = [use for use in used if use not in (LITTLE, BIG)]
+    order = _order_in(used)
+    uses = [use for use in used if use[0] >= NOWHERE[0]]
     fits = {table: registers for table in tables if (registers := _registers(table, uses))
             and order in ('', table.by_name['Goal Position'].byte_order)}
     if not fits:
@@ -124,13 +126,25 @@ def _is_enough(registers: set[str]) -> bool:
         name == 'Torque Enable' or name.startswith('Goal') for name in registers))
 
 
-def order_of(place: bytes | None) -> set[Use]:
+def order_of(place: bytes | None, goal: bytes | None) -> set[Use]:
     """Return the order of bytes in which a position of Feetech makes sense, if in one only."""
-    low, high = place or (0, 0)
-    if high < 16 <= low:               # 16 and more: beyond one turn
-        return {LITTLE}
-    # SCS: 1023 at most; STS: whole turns, and -1.
-    return {BIG} if low < 4 and high >= 16 and high % 16 else set()
+    for two, little, big in ((place, LITTLE, BIG), (goal, SENT_LITTLE, SENT_BIG)):
+        low, high = two or (0, 0)
+        if high < 16 <= low:           # 16 and more: beyond one turn
+            return {little}
+        if low < 4 and high >= 16 and high % 16:       # SCS: 1023 at most; STS: whole turns, -1
+            return {big}
+        if place is None:
+            break                      # it comes soon
+    return set()
+
+
+def _order_in(used: Collection[Use]) -> str:
+    """Return the order of bytes of a servo: that of its positions, else that of its goals."""
+    for little, big in ((LITTLE, BIG), (SENT_LITTLE, SENT_BIG)):
+        if little in used or big in used:
+            return '' if little in used and big in used else 'little' if little in used else 'big'
+    return ''
 
 
 def _registers(table: Model, used: Iterable[Use]) -> set[str]:

@@ -422,16 +422,19 @@ def _position_beyond(case: Case, device: DeviceReport) -> Found | None:
 
 
 def _goals_swapped(case: Case, device: DeviceReport, field: Field) -> Found | None:
-    """Look for goals of which many cannot be, and with their bytes swapped all can."""
+    """Look for goals of which some cannot be, and with their bytes swapped all can, of late."""
     is_big = field.byte_order == 'big'
     top = SCS_STEPS - 1 if is_big else TURN_STEPS - 1
-    samples = [one for one in case.samples.get(device.id, ()) if one.goal is not None]
-    beyond = [one.goal for one in samples if one.goal is not None and not 0 <= one.goal <= top]
-    # Whole turns, swapped, are small numbers.
-    clear = {goal: swapped for goal in beyond if (swapped := _swapped(field, goal)) >= BYTE}
-    if len(clear) < GOALS_BEYOND_MIN or not all(
-            0 <= _swapped(field, one.goal or 0) <= top and 0 <= (one.position or 0) <= top
-            for one in samples):
+    clear = {}
+    for one in reversed(case.samples.get(device.id, ())):
+        if one.goal is None:
+            continue                           # between two reports
+        swapped = _swapped(field, one.goal)
+        if not (0 <= swapped <= top and 0 <= (one.position or 0) <= top):
+            break
+        if one.goal > top and swapped >= BYTE:         # whole turns, swapped, are small numbers
+            clear[one.goal] = swapped
+    if len(clear) < GOALS_BEYOND_MIN:
         return None
     goal, meant = max(clear.items())
     mine, other = ('high', 'low') if is_big else ('low', 'high')
