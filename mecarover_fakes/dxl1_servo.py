@@ -15,6 +15,7 @@ from mecarover_fakes.fake_servo import FakeDevice
 from mecarover_fakes.fake_servo import Reply
 from mecarover_fakes.registers import ACCESS
 from mecarover_fakes.registers import INSTRUCTION
+from mecarover_fakes.registers import LIMIT
 from mecarover_fakes.registers import OK
 from mecarover_fakes.registers import RANGE
 from msg_defs.dxl1_instruction import CALIBRATE
@@ -24,7 +25,7 @@ from msg_defs.dxl_instruction import Instruction
 BOOT_FEETECH_NS = 800_000_000
 MIDDLE = 128                       # Torque Enable of an STS: the present position is the middle
 # Dynamixel: e-Manual, error byte. What is out of the table is out of range.
-_ERRORS = {'1': {RANGE: 0x08, ACCESS: 0x08, INSTRUCTION: 0x40}, 'feetech': {}}
+_ERRORS = {'1': {LIMIT: 0x02, RANGE: 0x08, ACCESS: 0x08, INSTRUCTION: 0x40}, 'feetech': {}}
 
 
 class Servo1(FakeDevice):
@@ -63,7 +64,10 @@ class Servo1(FakeDevice):
                                     or not self.is_readable(address, address + len(data))):
             return Reply(RANGE)
         angle, end = self.angle(now), address + len(data)
-        if self._written('Goal Position', address, end):
+        goal = self._written('Goal Position', address, end)
+        if goal and address <= goal.at and goal.end <= end:
+            if not self.is_feetech and self.is_beyond(goal, address, data):
+                return Reply(LIMIT)
             self.set('Torque Enable', 1)           # a goal switches it on, in both dialects
         was_torque = self.torque
         for at, byte in enumerate(data, address):

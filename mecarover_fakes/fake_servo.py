@@ -187,16 +187,17 @@ class FakeDevice(Registers):
                          0.0 if moving is None else moving.velocity(now_s),
                          self.voltage, self.temperature, (now - self.up_at) * 1e-9, self.id)
 
-    def _after_write(self, address: int, end: int, was_torque: bool, angle: float) -> None:
+    def _after_write(self, address: int, end: int, was_torque: bool, before: float) -> None:
         """Let the device follow what was written to its own settings."""
         if self.hardware_error and self._written('Torque Enable', address, end):
             self.set('Torque Enable', 0)             # shut down: it stays off until a start
         self._follow_address(address, end)
         goal = self._written('Goal Position', address, end)
-        if goal is not None and self.motion is None and self.torque:
-            self.rest_angle = goal.decode(self.bytes_in(goal)).number or 0.0
+        if goal is not None and self.motion is None and self.torque and self.follows_goals:
+            angle = goal.decode(self.bytes_in(goal)).number or 0.0
+            self.rest_angle = self.within_limits(angle) if self.is_feetech else angle
         if was_torque != self.torque:
-            self.rest_angle = angle
+            self.rest_angle = before
 
     def _follow_address(self, address: int = 0, end: int = sys.maxsize) -> None:
         """Follow ID, and Baud Rate where it is in this range of registers."""

@@ -3,10 +3,13 @@
 """
 The control table of a simulated device: its bytes, and which accesses the device refuses.
 
-Error numbers are those of a status (e-Manual, Protocol 2.0): access, range, length of a write.
+Error numbers are those of a status (e-Manual, Protocol 2.0): access, range, length of a write, and
+goals beyond its limits.
 """
 
 from __future__ import annotations
+
+from math import tau
 
 from mecarover_fakes.values import FACTORY
 from mecarover_fakes.values import initial_image
@@ -14,7 +17,11 @@ from mecarover_fakes.values import pack_raw
 from servobus.model.control_table import Field
 from servobus.model.control_table import Model
 
-OK, RESULT_FAIL, INSTRUCTION, RANGE, LENGTH, ACCESS = 0, 1, 2, 4, 5, 7
+OK, RESULT_FAIL, INSTRUCTION, RANGE, LENGTH, LIMIT, ACCESS = 0, 1, 2, 4, 5, 6, 7
+POSITION_CONTROL = 3             # a value of Operating Mode
+TURN_STEPS = 4096                # the X and MX series have these; others keep no limits
+_LIMITS = 'Min Position Limit', 'Max Position Limit'
+_ANGLE_LIMITS = 'CW Angle Limit', 'CCW Angle Limit'
 WATCHDOG_TRIPPED = 0xFF
 _TABLE = 256                     # bytes, of a model without a file
 
@@ -58,6 +65,24 @@ class Registers:
         """Whether the motor is on; a board has none."""
         return bool(self.get('Torque Enable'))
 
+    @property
+    def follows_goals(self) -> bool:
+        """Whether goal positions move it: its mode is for them, and it has some force."""
+        return self.get('Operating Mode', -1) not in FACTORY['modes_without_goals'].get(
+            self.model.protocol, ()) and all(self.get(name, 1) for name in FACTORY['forces'])
+
+    def within_limits(self, goal: float) -> float:
+        """Return how far a goal (rad, or raw) takes it; limits that are the same are none."""
+        names = _LIMITS if _LIMITS[0] in self.model.by_name else _ANGLE_LIMITS
+        low, high = (0.0 if field is None else field.decode(self.bytes_in(field)).number or 0.0
+                     for field in map(self.field, names))
+        return min(max(goal, low), high) if low < high else goal
+
+    def is_beyond(self, field: Field, address: int, data: bytes) -> bool:
+        """Tell whether a goal among written data is beyond its limits."""
+        goal = field.decode(data[field.at - address:field.end - address]).number or 0.0
+        return self.within_limits(goal) != goal
+
     def is_readable(self, address: int, end: int) -> bool:
         """Tell whether there is anything in this range, and nothing beyond the table."""
         return address < end <= len(self.image) and any(
@@ -89,7 +114,12 @@ class Registers:
         raw = int.from_bytes(data[field.at - address:field.end - address], 'little')
         low, high = FACTORY['limits'].get(field.name, (0, raw))
         tripped = field.name.startswith('Goal') and self.get('Bus Watchdog') == WATCHDOG_TRIPPED
-        return OK if low <= raw <= high and not tripped else RANGE
+        if not low <= raw <= high or tripped:
+            return RANGE
+        has_limits = field.name == 'Goal Position' and field.scale \
+            and round(tau / field.scale) == TURN_STEPS \
+            and self.get('Operating Mode') == POSITION_CONTROL
+        return LIMIT if has_limits and self.is_beyond(field, address, data) else OK
 
 
 def _spans(model: Model) -> list[tuple[int, int]]:

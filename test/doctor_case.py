@@ -53,7 +53,7 @@ def seen(device, registers, source='r', age_s=0.5):
 
 
 def device(number=1, model='XL430-W250', state=words.CONNECTED, registers=None, written=None,
-           age_s=0.5, totals=None, delay=None, window=None, **other):
+           age_s=0.5, totals=None, delay=None, window=None, sent=None, **other):
     found = MODELS.by_name(model) if model else None
     one = DeviceReport(
         number, f'{number:03}', '', words.PROTOCOL_2, found or UNKNOWN,
@@ -61,7 +61,9 @@ def device(number=1, model='XL430-W250', state=words.CONNECTED, registers=None, 
         Counts(**(totals or {})), Counts(**(window or {})), 0, None, 0.1, False, '', None, None, 0,
         (), 0, ReplyLatency(delay, None, 1.0), {})._replace(**other)
     return one._replace(observed=seen(one, registers or {}, age_s=age_s)
-                        + seen(one, written or {}, 'w', age_s))
+                        + seen(one, written or {}, 'w', age_s)
+                        + tuple(found for name, (raw, ago_s) in (sent or {}).items()
+                                for found in seen(one, {name: raw}, 'w', ago_s)))
 
 
 def note(kind, detail, count, number=1, every_ms=300.0, ago_s=0.0):
@@ -78,7 +80,7 @@ COUNTERS = dict.fromkeys(('Bytes', 'Packet Bytes', 'Packets', 'Instructions', 'N
 
 
 def case(*devices, notes=(), counters=None, marks=None, samples=None, repeats=None, rhythms=None,
-         steady=None, quiet_s=0.0, loop=((), ()), **report):
+         steady=None, quiet_s=0.0, loop=((), ()), turned=(), **report):
     """Return a bus of 1 MBd, heard since 60 s. marks: what was counted, by how long ago (s)."""
     by_kind = {}
     for one in notes:
@@ -94,7 +96,7 @@ def case(*devices, notes=(), counters=None, marks=None, samples=None, repeats=No
               for age, values in sorted((marks or {10: {}, 0: {}}).items(), reverse=True)),
         {number: deque(some) for number, some in (samples or {}).items()}, repeats or {},
         rhythms or [], steady or set(), loop=loop[0], late=loop[1])
-    found.quiet_s, found.run_from = quiet_s, told.started
+    found.quiet_s, found.run_from, found.turned = quiet_s, told.started, {*turned}
     return found
 
 
@@ -192,8 +194,8 @@ def _waits(us, device=1, times=1, ago_s=0.0, spoilt=False, asks='READ'):
     return [Wait(NOW - int(ago_s * S), us, device, spoilt, I[asks])] * times
 
 
-def _sample(ago_s, goal=None, position=None, tick=None, voltage=None):
-    return Sample(NOW - int(ago_s * S), goal, position, tick, voltage)
+def _sample(ago_s, *values):
+    return Sample(NOW - int(ago_s * S), *[*values, None, None, None, None][:5])
 
 
 def _mark(totals=None, **counted):

@@ -15,6 +15,8 @@ from doctor_case import claims
 from doctor_case import device
 from doctor_case import MODELS
 from doctor_case import note
+from doctor_case import NOW
+from doctor_case import S
 from doctor_case import speaks_from_its_edge_on
 import pytest
 import yaml
@@ -24,6 +26,7 @@ from msg_defs.dxl_instruction import Instruction as I
 from rigs.tables import rows_of
 from servobus.bus import evidence as ev
 from servobus.bus.report import Counts
+from servobus.doctor.case import Sample
 from servobus.doctor.facts import FACTORY
 from servobus.model.control_table import Model
 
@@ -81,6 +84,25 @@ def test_a_servo_that_proves_to_be_of_another_model_has_no_baud_code(caplog):
     notes = note(ev.BAUD_WRITTEN, ev.Written(5), 1)
     assert claims('baud_code', devices=[other], notes=notes) == []
     assert caplog.messages == []
+
+
+@pytest.mark.parametrize(('errors', 'registers', 'is_mode'), [
+    ({(3, 11, 7): 1}, {}, True), ({}, {}, False), ({(3, 9, 7): 1}, {}, False),
+    ({(3, 11, 6): 1}, {}, False), ({(3, 11, 7): 1}, {'Operating Mode': 4}, False)])
+def test_goals_of_a_mode_that_was_refused_need_no_wider_limits(errors, registers, is_mode):
+    [claim] = claims('goal_limits', devices=[device(errors=errors, registers=registers)],
+                     notes=note(ev.REFUSED, ev.Refusal(3, 116, 6), 3))
+    assert claim.message.endswith('those of another Operating Mode, of which the write was refused'
+                                  if is_mode else 'set wider ones (as Max Position Limit)')
+
+
+@pytest.mark.parametrize(('mode_s', 'is_told'), [(0.6, True), (0.5, False)])
+def test_a_mode_that_was_written_after_the_goals_is_not_theirs(mode_s, is_told):
+    one = device(registers={'Present Position': 5},
+                 sent={'Goal Position': (120, 0.55), 'Operating Mode': (1, mode_s)})
+    samples = [Sample(NOW - int(ago_s * S), goal, place, None, None) for ago_s, goal, place in (
+        (1.05, 1000, 1000), (1, 100, 200), (0, 120, 206))]
+    assert len(claims('operating_mode', devices=[one], samples={1: samples})) == is_told
 
 
 @pytest.mark.parametrize('volts', [9, 63, 136])

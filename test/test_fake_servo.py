@@ -4,10 +4,12 @@
 
 import pytest
 
+from mecarover_fakes.dxl1_servo import Servo1
 from mecarover_fakes.fake_servo import FakeDevice
 from mecarover_fakes.line import Line
 from mecarover_fakes.registers import ACCESS
 from mecarover_fakes.registers import LENGTH
+from mecarover_fakes.registers import LIMIT
 from mecarover_fakes.registers import OK
 from mecarover_fakes.registers import RANGE
 from mecarover_fakes.registers import RESULT_FAIL
@@ -69,6 +71,32 @@ def test_refused_accesses():
     assert write(device, 7, b'\xfd') == RANGE                   # no ID
     assert write(device, TORQUE, b'\x01') == OK
     assert write(device, 9, b'\x00') == ACCESS                  # EEPROM with torque on
+
+
+@pytest.mark.parametrize(('name', 'registers', 'goal', 'error', 'place'), [
+    ('STS3215', {'Min Position Limit': 1200, 'Max Position Limit': 2800}, 3500, OK, 2800),
+    ('STS3215', {'Min Position Limit': 1200, 'Max Position Limit': 2800}, 600, OK, 1200),
+    ('STS3215', {'Min Position Limit': 1200, 'Max Position Limit': 2800}, 1300, OK, 1300),
+    ('STS3215', {}, 0x9001, OK, 0),                             # -4097
+    ('STS3215', {'Max Position Limit': 0}, 5000, OK, 5000),     # it counts turns
+    ('STS3215', {'Torque Limit': 0}, 3000, OK, 2048),
+    ('STS3215', {'Operating Mode': 1}, 3000, OK, 2048),
+    ('AX-12A', {'CW Angle Limit': 200, 'CCW Angle Limit': 800}, 900, 2, 512),
+    ('AX-12A', {'CW Angle Limit': 200, 'CCW Angle Limit': 800}, 800, OK, 800),
+    ('XL430-W250', {'Torque Enable': 1}, 4096, LIMIT, 2048),
+    ('XL430-W250', {'Torque Enable': 1}, 4095, OK, 4095),
+    ('XL430-W250', {'Torque Enable': 1, 'Operating Mode': 4}, 5000, OK, 5000),
+    ('XL430-W250', {'Torque Enable': 1, 'Operating Mode': 0}, 3000, OK, 2048),
+    ('XL430-W250', {}, 3000, OK, 2048)])
+def test_a_joint_goes_as_far_as_its_limits_and_its_torque_let_it(name, registers, goal, error,
+                                                                 place):
+    model = MODELS.by_name(name)
+    device = (FakeDevice if model.protocol == '2' else Servo1)(1, model)
+    for register, raw in registers.items():
+        device.set(register, raw)
+    field, seen = model.by_name['Goal Position'], model.by_name['Present Position']
+    assert write(device, field.at, field.bytes_of(goal)) == error
+    assert seen.code_of(device.read(seen.at, seen.size, 0).params) == place
 
 
 def test_a_refused_write_changes_nothing():

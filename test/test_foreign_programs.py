@@ -182,6 +182,16 @@ def one_way(mode, goal):
         yield 1, IN, encode(1, STATUS, min(4095, there).to_bytes(4, 'little'), error=0)
 
 
+def follows(place_of):
+    """Send two goals by turns to a servo of Feetech, and read where it is."""
+    for turn in count():
+        goal = 1800 + turn // 30 % 2 * 400
+        yield 20, OUT, packet(1, 3, 41, 50, *goal.to_bytes(2, 'little'), 0, 0, 32, 3)
+        yield 1, IN, packet(1, 0)
+        yield 20, OUT, packet(1, 2, 56, 2)
+        yield 1, IN, packet(1, 0, *(place_of(turn, goal) % 4096).to_bytes(2, 'little'))
+
+
 def lost_acks(each):
     """Write and read; some acknowledgements of servo 2 get lost, several in a row, or all."""
     for turn in count():
@@ -235,6 +245,8 @@ def reads_by_count(of_2, size=8):
     (read_in_part(lambda number, asked, answer: answer + b'\0'), '', ''),
     (read_in_part(lambda number, asked, answer: answer if number == 2 else
                   answer[:3] + b'\x64' + answer[4:]), '', 'damaged_answers'),
+    (follows(lambda turn, goal: 1800 + 40 * turn), '', 'operating_mode'),
+    (follows(lambda turn, goal: goal - 200 // (1 + turn % 30)), '', ''),
     (reads_by_count(2), '', 'duplicate_id'), (reads_by_count(1), '', ''),
     (reads_by_count(1, 7), '', 'unread_answers'),
     (one_way(3, 4300), '', 'goal_limits'), (one_way(4, 4300), '', ''),

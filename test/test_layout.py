@@ -73,7 +73,8 @@ def test_no_register_is_named_wrongly(left_out, least):
 @pytest.mark.parametrize(('protocol', 'used', 'name', 'position'), rows_of(
     Path(__file__).with_name('layouts.tsv')))
 def test_a_use_says_which_registers_those_are(protocol, used, name, position):
-    orders = {'little': layout.LITTLE, 'big': layout.BIG}
+    orders = {'little': layout.LITTLE, 'big': layout.BIG, 'sent_little': layout.SENT_LITTLE,
+              'sent_big': layout.SENT_BIG}
     found = ALL.find_layout(protocol, frozenset(
         orders.get(one) or tuple(map(int, one.split('+'))) for one in used.split()))
     said = found.by_name.get('Present Position')
@@ -81,8 +82,11 @@ def test_a_use_says_which_registers_those_are(protocol, used, name, position):
 
 
 def test_a_position_says_its_order_of_bytes():
-    found = [layout.orders_of([bytes(one)]) for one in ((0xf3, 9), (2, 0x84), (3, 3), (1, 15))]
-    assert found == [{layout.LITTLE}, {layout.BIG}, set(), set()]
+    found = [layout.order_of(bytes(place), None) for place in (
+        (0xf3, 9), (2, 0x84), (3, 3), (1, 15), (1, 0x80), (0, 0x10))]   # -1, a whole turn
+    assert found == [{layout.LITTLE}, {layout.BIG}, set(), set(), set(), set()]
+    found = [layout.order_of(place, b'\xf3\x09') for place in (b'\x03\x03', b'\x02\x84', None)]
+    assert found == [{layout.SENT_LITTLE}, {layout.BIG}, set()]
 
 
 def asked(*used):

@@ -27,8 +27,9 @@ from servobus.bus.table import Table
 from servobus.model.control_table import Field
 from servobus.model.control_table import Model
 from servobus.model.control_table import UNKNOWN
-from servobus.model.layout import orders_of
-from servobus.model.layout import POSITIONS_AT
+from servobus.model.layout import GOAL_AT
+from servobus.model.layout import order_of
+from servobus.model.layout import PLACE_AT
 from servobus.model.layout import Use
 from servobus.model.layout import USE_MAX_BYTES
 
@@ -132,7 +133,7 @@ class Device:
     def all_uses(self) -> frozenset[Use]:
         """Return what a program uses of it, and the order of bytes that makes sense there."""
         if self.dialect is FEETECH:
-            self.used |= orders_of(self.table.bytes(at, 2) for at in POSITIONS_AT)
+            self.used |= order_of(*(self.table.bytes(at, 2) for at in (PLACE_AT, GOAL_AT)))
         return frozenset(self.used)
 
     def is_defined_by(self, address: int, size: int) -> bool:

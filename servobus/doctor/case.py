@@ -60,7 +60,8 @@ SPEED_AT_REST = 2                  # units of Present Velocity: as much noise ha
 SIGN_BIT = 0x8000
 
 DAMAGE_KINDS = (ev.DAMAGED_STATUS, ev.DAMAGED_INSTRUCTION, ev.CUT, ev.BAD_LENGTH)
-_SAMPLED = ('Goal Position', 'Present Position', 'Realtime Tick', 'Present Input Voltage')
+_SAMPLED = ('Goal Position', 'Present Position', 'Realtime Tick', 'Present Input Voltage',
+            'Torque Enable')
 
 
 Key = tuple[int, tuple[int, ...], int | None]  # a cycle's instruction, IDs, address
@@ -116,6 +117,7 @@ class Sample(NamedTuple):
     position: float | None
     tick: float | None
     voltage: float | None          # V
+    torque: float | None = None
 
 
 @dataclass(eq=False)
@@ -452,13 +454,14 @@ class History:
                 if device.id in self._samples:     # it restarted, so they say nothing of now
                     del self._samples[device.id]
                 continue
-            goal, position, tick, voltage = (values.get(name) for name in _SAMPLED)
+            goal, position, tick, voltage, torque = (values.get(name) for name in _SAMPLED)
             samples = self._samples.setdefault(device.id, deque(maxlen=HISTORY_MAX))
             if samples and position and samples[-1].position is not None:
                 self._note_motion(device, position, samples, samples[-1].position)
             samples.append(Sample(case.now, goal and goal.value.raw,
                                   position and position.value.raw,
-                                  tick and tick.value.number, voltage and voltage.value.number))
+                                  tick and tick.value.number, voltage and voltage.value.number,
+                                  torque and torque.value.raw))
             self._highest[device.id] = max(self._highest.get(device.id, 0.0),
                                            samples[-1].voltage or 0.0)
             while samples[0].stamp < before:

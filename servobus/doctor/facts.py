@@ -106,11 +106,12 @@ def limit_of(case: Case, device: DeviceReport, name: str,
 
 
 def is_watched(case: Case, device: DeviceReport, place: Observed) -> bool:
-    """Tell whether a register is read all the time, rather than where a motion ends."""
-    return any(device.id in one.ids and one.address is not None and len(one.stamps) > INCIDENTS_MIN
-               and one.address <= place.field.at < one.address + one.length
-               and max(map(sub, one.stamps[1:], one.stamps)) < WATCHED_EVERY_NS
-               for one in case.cycles)
+    """Tell whether a register is read all the time, now too, rather than where a motion ends."""
+    return place.age_s * NS_PER_S <= WATCHED_EVERY_NS and any(
+        device.id in one.ids and one.address is not None and len(one.stamps) > INCIDENTS_MIN
+        and one.address <= place.field.at < one.address + one.length
+        and max(map(sub, one.stamps[1:], one.stamps)) < WATCHED_EVERY_NS
+        for one in case.cycles)
 
 
 def raw_value(case: Case, device: DeviceReport, name: str) -> float | None:

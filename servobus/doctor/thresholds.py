@@ -15,3 +15,4 @@ STILL_MAX_STEPS = 6                # a joint that holds its place is read within
 GOAL_FAR_STEPS = 200               # farther than what holds a joint bends
 ADAPTER_HOLD_US = 20_000           # so long an adapter may hold an answer back (latency timer)
 LONG_WAIT_MS = 50                  # a time-out that no sound servo and adapter needs
+SPEED_MIN = 10                     # units of Goal Velocity; friction may hold less

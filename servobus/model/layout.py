@@ -29,7 +29,10 @@ Use = tuple[int, int]              # address and size of what a program reads or
 REGISTERS_NEEDED = 3  # different registers, Torque Enable or a goal among them; or both positions
 USE_MAX_BYTES = 16                       # bytes: a longer read takes all there is, gaps too
 NOWHERE = (-1, 1)                  # a use that no table has
-LITTLE, BIG = (-2, 1), (-2, 2)     # uses only of numbers that make sense in this order of bytes
+# Uses only of numbers that make sense in this order of bytes: of positions, and of goals, which
+# a program may send wrongly.
+LITTLE, BIG = (-2, 1), (-2, 2)
+SENT_LITTLE, SENT_BIG = (-3, 1), (-3, 2)
 LAYOUTS_KEPT = 256
 # Series whose names do not begin with their letters. MX(2.0) has the table of the X series.
 _SERIES = {'X': r'2?X[A-Z]\d|2X|MX-\d+$', 'P': r'P[HM]\d', 'PRO(A)': r'[HM]\d\d-.*\(A\)',
@@ -41,10 +44,11 @@ _COMMON = ('Torque Enable', 'Goal Position', 'Goal Velocity', 'Present Position'
            'Present Velocity', 'Present Load', 'Present Input Voltage', 'Present Temperature',
            'Hardware Error Status', 'Lock', 'ID', 'Baud Rate')
 _BASIC = ('ID', 'Baud Rate', 'Lock')
-# STS and SCS of Feetech differ in the order of bytes: one of these says which.
-_TELLS_ORDER = ('Lock', 'Acceleration')
+# These too where the program uses just them, and they are the same in all tables that are left.
+_WHERE_USED = ('Min Position Limit', 'Max Position Limit', 'CW Angle Limit', 'CCW Angle Limit',
+               'Operating Mode', 'Torque Limit')
 POSITIONS = ('Goal Position', 'Present Position')      # signed in some tables
-POSITIONS_AT = (42, 56)            # there with Feetech
+PLACE_AT, GOAL_AT = 56, 42         # positions of Feetech
 # What a register can hold, in its unit. Of positions: by size, in rad and in steps.
 _RANGES = {'Torque Enable': 1, 'Present Temperature': 120, 'Present Input Voltage': 400}
 _FARTHEST = {2: (2 * pi, 4095), 4: (512 * pi, 1 << 22)}
@@ -81,9 +85,8 @@ class Layouts:
 
 def agreed_model(tables: Iterable[Model], used: Collection[Use]) -> Model:
     """Return the registers on which all tables agree that have what is used; or UNKNOWN."""
-    orders = [name for name, use in (('little', LITTLE), ('big', BIG)) if use in used]
-    order = orders[0] if len(orders) == 1 else ''      # both: neither is certain
-    uses = [use for use in used if use not in (LITTLE, BIG)]
+    order = _order_in(used)
+    uses = [use for use in used if use[0] >= NOWHERE[0]]
     fits = {table: registers for table in tables if (registers := _registers(table, uses))
             and order in ('', table.by_name['Goal Position'].byte_order)}
     if not fits:
@@ -93,13 +96,13 @@ def agreed_model(tables: Iterable[Model], used: Collection[Use]) -> Model:
     names = {table.name for table in fits}
     series = sorted({_series(name) for name in names})
     knows_units = len({table.file for table in fits}) > 1
-    knows_order = bool(order) or first.protocol != 'feetech' or all(
-        not registers.isdisjoint(_TELLS_ORDER) for registers in fits.values())
+    knows_order = len({table.by_name['Goal Position'].byte_order for table in fits}) == 1
     named = _COMMON if is_enough else _BASIC
     found = [_agreed_field([field, *(table.by_address.get(field.at) for table in others)],
                            knows_units)
              for field in first.fields if (field.size == 1 or knows_order)
-             and (field.name in named or (is_enough and len(series) == 1))
+             and (field.name in named or (is_enough and (len(series) == 1 or (
+                 field.name in _WHERE_USED and (field.at, field.size) in uses))))
              and (is_enough or (field.at, field.size) in uses)]
     fields = [field for field in found if field]
     fields += [Field(at + n, f'Address {at + n}', 'u8', access='rw', memory='eeprom')
@@ -123,15 +126,25 @@ def _is_enough(registers: set[str]) -> bool:
         name == 'Torque Enable' or name.startswith('Goal') for name in registers))
 
 
-def orders_of(positions: Iterable[bytes | bytearray | None]) -> set[Use]:
-    """Return the orders of bytes in which positions of Feetech make sense, each in one only."""
-    found = set()
-    for low, high in filter(None, positions):
+def order_of(place: bytes | None, goal: bytes | None) -> set[Use]:
+    """Return the order of bytes in which a position of Feetech makes sense, if in one only."""
+    for two, little, big in ((place, LITTLE, BIG), (goal, SENT_LITTLE, SENT_BIG)):
+        low, high = two or (0, 0)
         if high < 16 <= low:           # 16 and more: beyond one turn
-            found.add(LITTLE)
-        elif low < 4 and high >= 16:   # SCS: 1023 at most
-            found.add(BIG)
-    return found
+            return {little}
+        if low < 4 and high >= 16 and high % 16:       # SCS: 1023 at most; STS: whole turns, -1
+            return {big}
+        if place is None:
+            break                      # it comes soon
+    return set()
+
+
+def _order_in(used: Collection[Use]) -> str:
+    """Return the order of bytes of a servo: that of its positions, else that of its goals."""
+    for little, big in ((LITTLE, BIG), (SENT_LITTLE, SENT_BIG)):
+        if little in used or big in used:
+            return '' if little in used and big in used else 'little' if little in used else 'big'
+    return ''
 
 
 def _registers(table: Model, used: Iterable[Use]) -> set[str]:
@@ -187,7 +200,9 @@ def _listed(series: list[str]) -> str:
 def is_contradicted(layout: Model, values: Iterable[tuple[Field, Value]],
                     refused: Mapping[tuple[int, int, int], int]) -> bool:
     """Return whether values or refusals (instruction, address, error) speak against a layout."""
-    if any(_cannot_be(field, value) for field, value in values):
+    # Positions of Feetech: where it is, has the order of bytes; the goal may be a mistake.
+    apart = POSITIONS if layout.protocol == 'feetech' else ()
+    if any(field.name not in apart and _cannot_be(field, value) for field, value in values):
         return True
     return any(count >= REFUSALS_NEEDED and error in _WRONG_TABLE and field is not None
                and not (field.memory == 'eeprom' and 'w' in field.access)

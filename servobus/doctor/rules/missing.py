@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from operator import ne
 from statistics import median
 
@@ -28,9 +29,11 @@ from servobus.doctor.case import speed_of
 from servobus.doctor.facts import fatal_late_answer
 from servobus.doctor.facts import fatal_wait
 from servobus.doctor.facts import first_of_groups
+from servobus.doctor.facts import is_of_one_turn
 from servobus.doctor.facts import is_off
 from servobus.doctor.facts import is_rate_search
 from servobus.doctor.facts import is_watched
+from servobus.doctor.facts import raw_value
 from servobus.doctor.facts import span
 from servobus.doctor.rule import about
 from servobus.doctor.rule import all_ids
@@ -48,7 +51,10 @@ from servobus.doctor.thresholds import GOAL_FAR_STEPS
 from servobus.doctor.thresholds import GONE_S
 from servobus.doctor.thresholds import INCIDENTS_MIN
 from servobus.doctor.thresholds import LONG_WAIT_MS
+from servobus.doctor.thresholds import SPEED_MIN
 from servobus.doctor.thresholds import STILL_MAX_STEPS
+from servobus.doctor.thresholds import TURN_STEPS
+from servobus.doctor.thresholds import WINDOW_S
 
 AWAY_MIN_MS = 100                  # shorter than any start; longer than an answer or two lost
 DIP_MAX_SHARE = 0.9                # share of the voltage now: lower before, and the supply sagged
@@ -57,16 +63,21 @@ TICK_TURN_S, TICK_SLACK_S = 32.768, 0.5        # Realtime Tick begins at 0 again
 MISSED_MIN_SHARE = 0.01            # share of its answers; fewer are lost on a healthy bus too
 LATE_MIN_SHARE = 0.1               # share of its answers; fewer are late by chance
 ACKS_MISSED_LIMIT = 4              # as `missed_limit`
+JUMP_NS = NS_PER_S                 # a slower one is a motion with a set speed
 GOAL_MOVES_STEPS = 20              # a goal that changes less may be held by friction
 STOPPED_MIN_S = 1.0                # two reports at the usual 2 Hz: one may be before it starts
 STILL_MIN_S = 2.5                  # the same where its torque was not read
 FOLLOW_WINDOW_S = 4.0              # samples of so long show whether it follows
-SPEED_MIN = 10                     # units of Goal Velocity; friction may hold less
 VELOCITY_CONTROL = 1               # a value of Operating Mode (e-Manual; Feetech, STS table)
 TURN_ONSET_S = 1.5                 # by then it turns, however it accelerates
 _DECIDES_TURNING = {'Velocity Limit': 'Velocity Limit (a goal beyond it is refused)',
                     'Torque Enable': 'Torque Enable', 'Operating Mode': 'Operating Mode'}
-_MOTION = 'Present Position', 'Torque Enable'
+_PLACE = 'Present Position'
+_MOTION = _PLACE, 'Torque Enable'
+_PLACE_AND_MODE = _PLACE, 'Operating Mode'
+# Values of Operating Mode in which goals are positions (e-Manual), and those of Feetech.
+_POSITION_MODES = (3, 4, 5), (0, 3)
+_FORCES = 'Torque Limit', 'Goal PWM', 'PWM Limit'      # with 0 in one it has none
 _OF_THE_MASTER = ", and that the program uses the servos' baud rate, protocol and ID"
 
 
@@ -464,10 +475,9 @@ def torque_off(case: Case, device: DeviceReport) -> Found | None:
     """
     Goals change, and the joint does not move.
 
-    The goals are on both sides of it, or away from it and back twice, or nothing set the
-    torque.
+    They are on both sides of it, or leave it twice, or nothing set the torque, or its limit is 0.
 
-    Do: switch the torque on; if it is on, the joint is blocked or its motor has no supply.
+    Do: switch the torque on, or free the joint.
     """
     samples = _since_it_moved(_recent_samples(case, device.id))
     place = case.values[device.id]['Present Position']
@@ -481,20 +491,24 @@ def torque_off(case: Case, device: DeviceReport) -> Found | None:
         return Claim('goals are sent to it, but its torque is off: switch it on '
                      '(Torque Enable 1); after a restart, write all its settings again',
                      rests_on=_MOTION)
+    force = _force_at_zero(case, device)
+    if force:
+        return Claim(f'goals are sent to it, but its {force} is 0, so it has no force: write '
+                     'more to that', rests_on=(_PLACE, force))
     may_hold = device.id in case.turned and not _absences(case, device)
     if (torque is None or torque.source == 'w') \
             and is_watched(case, device, place) and _is_ignored(
                 [*case.samples[device.id]], 0.1 / (place.field.scale or 0.001), may_hold):
+        first = 'read Torque Enable and Operating Mode' \
+            if torque is not None and 'Operating Mode' in device.model.by_name \
+            else 'write 1 to Torque Enable'
         return Claim('goals leave its position on both sides or repeatedly, and it '
-                     'does not move: write 1 to Torque Enable, or check its motor and what '
+                     f'does not move: {first}, or check its motor and what '
                      'blocks it', rests_on=_MOTION)
     if may_hold or (
             torque is not None and torque.value.raw and not _absences(case, device)):
         return None                    # it is on, so something holds it, or it is where it can be
-    since = samples[1].stamp
-    others = [[one.position for one in _recent_samples(case, other) if one.stamp >= since]
-              for other in case.samples if other != device.id]
-    who = ', others do' if any(span(places) >= GOAL_MOVES_STEPS for places in others) else ''
+    who = ', others do' if _others_move(case, device, samples) else ''
     if not who and torque is None and case.has_sides and device.model.protocol == '2' \
             and span([one.goal for one in samples[1:]]) >= GOAL_FAR_STEPS:
         who = ', nothing set its torque'
@@ -505,15 +519,118 @@ def torque_off(case: Case, device: DeviceReport) -> Found | None:
                  rests_on=_MOTION)
 
 
+@Rule(needs_registers={'Goal Position', _PLACE},
+      symptoms={'joint at rest'},
+      accounts_for={'joint at rest'})
+def operating_mode(case: Case, device: DeviceReport) -> Found | None:
+    """
+    It turns past its goals, or alone never moved with its torque on.
+
+    Do: write its Operating Mode.
+    """
+    values = case.values[device.id]
+    goal, place = values['Goal Position'], values[_PLACE]
+    if goal.source != 'w' or place.source != 'r' or place.age_s > STOPPED_MIN_S or device.alert:
+        return None
+    torque, mode = values.get('Torque Enable'), values.get('Operating Mode')
+    if is_off(torque):
+        return None
+    is_feetech = device.model.protocol == 'feetech'
+    if mode is not None and (mode.value.raw in _POSITION_MODES[is_feetech] or (
+            mode.source == 'w' and mode.age_s < goal.age_s)):
+        return None
+    remedy = 'write its angle limits: with 0 in both it is a wheel' \
+        if device.model.protocol == '1' else 'write 0 (position) to Operating Mode, with Lock 0' \
+        if is_feetech else 'switch its torque off, write 3 (position) to Operating Mode'
+    if device.id in case.turned and _turns_past_goals(case, device) \
+            and is_of_one_turn(goal.field):
+        return Claim('its goals are within one turn, and it turns on and on past them, as in '
+                     f'velocity or PWM mode: {remedy}', rests_on=_PLACE_AND_MODE)
+    if mode is None and (torque is None or torque.source != 'w' or device.id in case.turned
+                         or not _may_have_other_mode(case, device)):
+        return None
+    samples = _since_it_moved(_recent_samples(case, device.id))
+    if not _does_not_follow(samples):
+        return None
+    if mode is not None:
+        return Claim(f'its Operating Mode is {mode.value.text}, in which goal positions do '
+                     f'nothing: {remedy}', rests_on=_PLACE_AND_MODE)
+    if not _others_move(case, device, samples) or not is_watched(case, device, place) \
+            or not _is_ignored([*case.samples[device.id]], 0.1 / (place.field.scale or 0.001),
+                               may_hold=False):
+        return None
+    return Claim('it alone never moved, though its torque was switched on and its goals changed: '
+                 'read Operating Mode (in current, velocity or PWM mode goal positions do '
+                 f'nothing: {remedy}), or check what blocks it', rests_on=_PLACE_AND_MODE)
+
+
+def _may_have_other_mode(case: Case, device: DeviceReport) -> bool:
+    """Tell whether a servo has modes, and nothing else is known to keep it from moving."""
+    mode = device.model.by_name.get('Operating Mode')
+    return mode is not None and mode.name == 'Operating Mode' \
+        and raw_value(case, device, 'Torque Enable') == 1 and not _force_at_zero(case, device) \
+        and not _absences(case, device)
+
+
+def _force_at_zero(case: Case, device: DeviceReport) -> str:
+    """Return the register which leaves a servo without force, '' if there is none."""
+    return next((name for name in _FORCES if raw_value(case, device, name) == 0), '')
+
+
+def _turns_past_goals(case: Case, device: DeviceReport) -> bool:
+    """Tell whether a joint goes half a turn and more in one way, away from goals in one turn."""
+    samples = case.samples[device.id]
+    if len(samples) <= INCIDENTS_MIN \
+            or -GOAL_FAR_STEPS <= (samples[-1].position or 0) - (samples[-2].position or 0) \
+            <= GOAL_FAR_STEPS:
+        return False                           # it does not turn now
+    known = [(one.goal, one.position) for one in samples
+             if one.goal is not None and one.position is not None]
+    if not all(0 <= goal < TURN_STEPS and 0 <= place < TURN_STEPS for goal, place in known):
+        return False
+    half = TURN_STEPS // 2
+    steps = [(two - one + half) % TURN_STEPS - half for (_, one), (_, two) in pairwise(known)]
+    way = 1 if sum(steps) > 0 else -1
+    away = sum(way * step > GOAL_FAR_STEPS and way * (two[1] - two[0]) > GOAL_FAR_STEPS
+               and way * (one[1] - one[0]) > GOAL_FAR_STEPS
+               for one, two, step in zip(known, known[1:], steps, strict=False))
+    return way * sum(steps) >= half and min(way * step for step in steps) >= -STILL_MAX_STEPS \
+        and away >= INCIDENTS_MIN
+
+
+@Rule(level=Level.OK, needs_registers={'Goal Position', _PLACE, 'Torque Enable'})
+def torque_jump(case: Case, device: DeviceReport) -> Found | None:
+    """
+    Torque was switched on far from its goal: it jumped there.
+
+    Do: write its position as goal first.
+    """
+    values = case.values[device.id]
+    torque, goal = values['Torque Enable'], values['Goal Position']
+    if torque.source != 'w' or torque.value.raw != 1 or goal.source != 'w' \
+            or not torque.age_s < min(goal.age_s, WINDOW_S):
+        return None
+    since = case.stamp_ago(torque.age_s)
+    known = [one for one in case.samples[device.id]
+             if one.torque is not None and one.position is not None]
+    before = [one for one in known if one.stamp < since]
+    after = [one for one in known if since < one.stamp < since + JUMP_NS]
+    if not before or not after or before[-1].torque != 0:
+        return None
+    way, left = (abs(goal.value.raw - (one[-1].position or 0)) for one in (before, after))
+    if way <= GOAL_FAR_STEPS or left > GOAL_MOVES_STEPS:
+        return None
+    return Claim(f'its torque was switched on {way:.0f} steps from its old goal, and it went '
+                 'there at once: write its position to Goal Position before')
+
+
 @Rule(onset_s=TURN_ONSET_S, needs_registers={'Goal Velocity', 'Present Velocity'},
       symptoms={'joint at rest'})
 def wheel_stopped(case: Case, device: DeviceReport) -> Found | None:
     """
     A velocity is asked for, and it never turns.
 
-    What holds something after it has turned is a doubt.
-
-    Do: read Velocity Limit, Torque Enable and Operating Mode: a goal beyond the limit is refused.
+    Do: read Velocity Limit, Torque Enable and Operating Mode.
     """
     values = case.values[device.id]
     goal, now = values['Goal Velocity'], values['Present Velocity']
@@ -538,6 +655,13 @@ def _is_in_velocity_control(device: DeviceReport, values: dict[str, Observed]) -
     if mode is not None:
         return mode.value.raw == VELOCITY_CONTROL
     return 'Profile Velocity' in device.model.by_name and (place is None or place.source != 'w')
+
+
+def _others_move(case: Case, device: DeviceReport, samples: list[Sample]) -> bool:
+    """Tell whether another joint moves while this one does not."""
+    since = samples[1].stamp
+    return any(span([one.position for one in _recent_samples(case, other) if one.stamp >= since])
+               >= GOAL_MOVES_STEPS for other in case.samples if other != device.id)
 
 
 def _does_not_follow(samples: list[Sample]) -> bool:
@@ -582,9 +706,7 @@ def _is_ignored(samples: list[Sample], least: float, may_hold: bool) -> bool:
       accounts_for={*SILENCE, 'absence', 'restart', 'no acknowledgements'})
 def ping_only(case: Case, device: DeviceReport) -> Found | None:
     """
-    Answers Ping and nothing else, since the program began or again and again.
-
-    Or the program ended on the first write or read to it.
+    Answers Pings only, or the program ended on its first write or read.
 
     Do: write 2 to Status Return Level, 1 for reads alone.
     """
@@ -631,4 +753,4 @@ def missed_answers(case: Case, device: DeviceReport) -> Found | None:
 
 
 RULES = (brown_out, all_silent, broken_cable, sync_read_stops, no_answer, rebooted, torque_off,
-    wheel_stopped, ping_only, dropout, missed_answers)
+    operating_mode, torque_jump, wheel_stopped, ping_only, dropout, missed_answers)

@@ -30,6 +30,7 @@ from servobus.bus.table import Observed
 from servobus.doctor.bad_packets import repeated_bad_packet
 from servobus.doctor.case import Case
 from servobus.doctor.case import Names
+from servobus.doctor.case import SIGN_BIT
 from servobus.doctor.facts import ACCESS_ERROR
 from servobus.doctor.facts import fatal_wait
 from servobus.doctor.facts import INSTRUCTION_ERROR
@@ -49,17 +50,24 @@ from servobus.doctor.rule import Rule
 from servobus.doctor.symptom import DAMAGE
 from servobus.doctor.symptom import SILENCE
 from servobus.doctor.thresholds import INCIDENTS_MIN
+from servobus.doctor.thresholds import SPEED_MIN
 from servobus.doctor.thresholds import STILL_MAX_STEPS
 from servobus.doctor.thresholds import TURN_STEPS
 from servobus.model.control_table import Field
 from servobus.model.control_table import UNKNOWN
 
+SIGN_AT = 15                       # the bit of a velocity of Feetech that is its sign
+NEGATIVE_MAX = 8192                # as two's complement; without it 24576: no servo is so fast
+ROUND_SPEED = 100
+SCS_STEPS = 1024                   # over the travel of an SCS
+BYTE = 256
 POSITION_CONTROL = 3               # a value of Operating Mode (e-Manual)
 GOALS_BEYOND_MIN = 2               # one may be a slip of a person
 STILL_MIN_REPORTS = 6              # at rest in so many reports: it is not on its way
 WORD = 65_536
 _RATES = 'Velocity', 'Current', 'PWM'
-_MIN_POSITION, _MAX_POSITION = 'Min Position Limit', 'Max Position Limit'
+_POSITION_LIMITS = 'Min Position Limit', 'Max Position Limit'
+_ANGLE_LIMITS = 'CW Angle Limit', 'CCW Angle Limit'    # with Protocol 1.0
 EEPROM_WRITES_MIN = 30             # in 10 s: no start-up writes as many
 POLLED_MIN_READS = 20              # from a device that was never written
 POLLED_MIN_S = 3.0                 # by then each is written that will be, and models are known
@@ -314,10 +322,9 @@ def _what_is_there(device: DeviceReport, address: int, error: int) -> str:
       accounts_for={'refused access', 'joint at rest'})
 def goal_limits(case: Case, device: DeviceReport) -> Found | None:
     """
-    Values beyond its limits (Data Limit, in 1.0 angle limit).
+    Values beyond its limits (Data Limit, in 1.0 angle limit), refused or not.
 
-    Once is enough where the program ended on it. Also what nothing refuses aloud: goals in a
-    Sync Write, or that a Feetech servo holds back.
+    Once is enough where the program ended on it. Also swapped bytes, a wrong sign.
 
     Do: limit the goals, or set wider limits.
     """
@@ -328,6 +335,9 @@ def goal_limits(case: Case, device: DeviceReport) -> Found | None:
         if f'Goal {name}' in values and f'{name} Limit' in values \
                 and (beyond := _rate_beyond(name, values)):
             return beyond
+    if device.model.protocol == FEETECH.protocol and 'Goal Velocity' in values \
+            and (otherwise := _sign_otherwise(values['Goal Velocity'])):
+        return otherwise
     return _position_beyond(case, device) if 'Goal Position' in values else None
 
 
@@ -337,9 +347,14 @@ def _value_refused(case: Case, device: DeviceReport) -> Found | None:
     if count < _least_refusals(case, device, GOALS_BEYOND_MIN):
         return None
     field = device.model.by_address.get(address)
+    mode = device.model.by_name.get('Operating Mode')
+    is_mode_refused = mode is not None and 'Operating Mode' not in case.values[device.id] and any(
+        at == mode.at and error == ACCESS_ERROR for _, at, error in device.errors)
+    remedy = 'they may be those of another Operating Mode, of which the write was refused' \
+        if is_mode_refused else \
+        'keep goals within these, or set wider ones (as Max Position Limit)'
     return Claim(f'value for {field.name if field else f"address {address}"} refused, beyond its '
-                 'limits: keep goals within these, or set wider ones (as Max Position Limit)',
-                 {'refused': count})
+                 f'limits: {remedy}', {'refused': count})
 
 
 def _rate_beyond(name: str, values: dict[str, Observed]) -> Found | None:
@@ -356,14 +371,31 @@ def _rate_beyond(name: str, values: dict[str, Observed]) -> Found | None:
                  rests_on=(f'Goal {name}', f'{name} Limit'))
 
 
+def _sign_otherwise(goal: Observed) -> Found | None:
+    """Look for a negative velocity that a servo of Feetech reads as one faster than any."""
+    code = int(goal.value.raw)
+    # Who means as fast as it can, sends the greatest number or a round one.
+    if goal.source != 'w' or goal.field.sign_bit != SIGN_AT \
+            or not SPEED_MIN <= WORD - code <= NEGATIVE_MAX or not code % SIGN_BIT % ROUND_SPEED:
+        return None
+    return Claim(f'Goal Velocity 0x{code:X} is {SIGN_BIT - code}, faster than any servo: bit '
+                 f'{SIGN_AT} is its sign, the others are its speed; {code - WORD} is '
+                 f'0x{SIGN_BIT | (WORD - code):X}', rests_on=('Goal Velocity',))
+
+
 def _meant(field: Field, raw: float, low: float, high: float) -> str:
     """Return what a value that cannot be may have been meant as, as words in brackets."""
-    code = int(raw) % (1 << 8 * field.size)            # its bytes without a sign
-    swapped = field.decode(field.bytes_of(code)[::-1]).raw
-    if low <= swapped <= high:
+    swapped = _swapped(field, raw)
+    if low <= swapped <= high and abs(raw) > 2 * high:             # not just beyond
         return f' (in the other order of bytes it is {swapped})'
-    is_negative = WORD // 2 <= raw < WORD
+    is_negative = WORD // 2 <= raw < WORD and WORD - raw < raw % SIGN_BIT
     return f' (as two bytes with sign it is {raw - WORD:.0f})' if is_negative else ''
+
+
+def _swapped(field: Field, raw: float) -> float:
+    """Return a raw value with its bytes in the other order."""
+    code = int(raw) % (1 << 8 * field.size)            # its bytes without a sign
+    return field.decode(field.bytes_of(code)[::-1]).raw
 
 
 def _position_beyond(case: Case, device: DeviceReport) -> Found | None:
@@ -374,17 +406,46 @@ def _position_beyond(case: Case, device: DeviceReport) -> Found | None:
     if goal.source != 'w' or (has_mode and values['Operating Mode'].value.raw != (
             0 if is_feetech else POSITION_CONTROL)):
         return None
-    if _MIN_POSITION in values and _MAX_POSITION in values:
-        low, high = values[_MIN_POSITION].value.raw, values[_MAX_POSITION].value.raw
-        if low < high and (is_feetech or (has_mode and high - low < TURN_STEPS - 1)):
-            return _goals_held_back(case, device, low, high)
-    if device.model.protocol == '1' or (is_feetech and _MIN_POSITION in values) \
+    if is_feetech and (swapped := _goals_swapped(case, device, goal.field)):
+        return swapped
+    names = _ANGLE_LIMITS if device.model.protocol == '1' else _POSITION_LIMITS
+    if names[1] in values and (names[0] in values or device.model.protocol != '2'):
+        low, high = (raw_value(case, device, name) or 0 for name in names)
+        # With both at the end of a turn, an MX counts turns; both 0 are no limits.
+        if low < high and (is_feetech or (names[0] in values and device.model.protocol == '1') or (
+                high - low < TURN_STEPS - 1 and (has_mode or device.model.protocol == '1'))):
+            return _goals_held_back(case, device, names, low, high)
+    if device.model.protocol == '1' or (is_feetech and not values.keys().isdisjoint(names)) \
             or not is_of_one_turn(goal.field):
         return None                            # Feetech: both are 0 where it has none
     return _goals_beyond_a_turn(case, device, goal.field, has_mode)
 
 
-def _goals_held_back(case: Case, device: DeviceReport, low: float,
+def _goals_swapped(case: Case, device: DeviceReport, field: Field) -> Found | None:
+    """Look for goals of which some cannot be, and with their bytes swapped all can, of late."""
+    is_big = field.byte_order == 'big'
+    top = SCS_STEPS - 1 if is_big else TURN_STEPS - 1
+    clear = {}
+    for one in reversed(case.samples.get(device.id, ())):
+        if one.goal is None:
+            continue                           # between two reports
+        swapped = _swapped(field, one.goal)
+        if not (0 <= swapped <= top and 0 <= (one.position or 0) <= top):
+            break
+        if one.goal > top and swapped >= BYTE:         # whole turns, swapped, are small numbers
+            clear[one.goal] = swapped
+    if len(clear) < GOALS_BEYOND_MIN:
+        return None
+    goal, meant = max(clear.items())
+    mine, other = ('high', 'low') if is_big else ('low', 'high')
+    return Claim(f'goals as {goal} are sent, beyond 0 to {top}; with their two '
+                 f'bytes swapped all are within ({meant}): it takes the {mine} byte first, the '
+                 f'program sends the {other} one first, as to another series: swap them, also in '
+                 'what it reads', {'as sent': goal, 'swapped': meant},
+                 rests_on=('Goal Position',))
+
+
+def _goals_held_back(case: Case, device: DeviceReport, names: tuple[str, str], low: float,
                      high: float) -> Found | None:
     """Look for goals beyond limits that were read."""
     beyond = {one.goal for one in case.samples.get(device.id, ())
@@ -396,8 +457,8 @@ def _goals_held_back(case: Case, device: DeviceReport, low: float,
     effect = 'it stops there' if device.model.protocol == FEETECH.protocol else 'it refuses them'
     return Claim(f'goals beyond its limits of {low} to {high} are sent'
                  f'{_meant(field, farthest, low, high)}: {effect}; keep goals within them, or '
-                 'set wider ones (Min and Max Position Limit)', {'the farthest': farthest},
-                 rests_on=('Goal Position', _MIN_POSITION, _MAX_POSITION))
+                 f'set wider ones ({names[0].partition(" ")[0]} and {names[1]})',
+                 {'the farthest': farthest}, rests_on=('Goal Position', *names))
 
 
 def _goals_beyond_a_turn(case: Case, device: DeviceReport, field: Field,
