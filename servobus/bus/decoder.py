@@ -241,7 +241,7 @@ class BusDecoder:
         elif what == AWAY:
             self.tracker.discount_latency(value, stamp)
         elif what in (CLOSED, GONE, LOST):
-            self._end_stream(stamp, value if what == LOST else 0)
+            self._end_stream(stamp, *((0, value) if what == GONE else (value * (what == LOST),)))
 
     def _discard_unread(self, stamp: int) -> None:
         """Note that the program does not read what waits: an answer may have lost its end."""
@@ -251,8 +251,10 @@ class BusDecoder:
         if unread.waiting and framer is not None and framer.pending:
             self._flush(IN, framer, stamp)
 
-    def _end_stream(self, stamp: int, lost: int = 0) -> None:
+    def _end_stream(self, stamp: int, lost: int = 0, error: int = 0) -> None:
         """Take what is left as whole; what comes now has nothing to do with it."""
+        if error > 1:                          # the errno that the program got
+            self.tracker.lose_port(stamp, error)
         self._discard_unread(stamp)
         for side, framer in self.framers.items():
             self._flush(side, framer, stamp)

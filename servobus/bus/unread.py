@@ -36,6 +36,7 @@ from itertools import accumulate
 
 from msg_defs.dxl_instruction import ALERT
 from msg_defs.event import IN
+from msg_defs.frame import Flaw
 from msg_defs.frame import Frame
 from msg_defs.frame import Frames
 from msg_defs.frame import GLITCH
@@ -346,7 +347,7 @@ class UnreadAnswers:
             if len(question.due) == 1:
                 self._end_deferred(question, DAMAGED, stamp)
 
-    def accept_truncated_reply(self, frame: Frame, noise: int, slots: dict[int, Slot],
+    def accept_truncated_reply(self, frame: Frame, flaw: Flaw, noise: int, slots: dict[int, Slot],
                                stamp: int) -> bool:
         """Accept an answer of which the program discarded just the end; or return False."""
         begin, end, _, number, *_ = frame
@@ -354,6 +355,7 @@ class UnreadAnswers:
         if slot is None or end - begin + self.discarded != slot.status_size:
             return False
         self.discarded = 0
+        self._evidence.note_stuffed(stamp, frame, flaw, IN)
         slot.device.counts.answers += 1
         self._registry.accept_status(slot.device, 0, stamp)
         self._evidence.counts[ev.GLITCH] += noise > 0

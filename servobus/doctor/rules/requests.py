@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable
 from itertools import pairwise
 from operator import itemgetter
+import os
 
 from msg_defs.diagnostics import Level
 from msg_defs.dxl1_instruction import DYNAMIXEL_1
@@ -103,6 +104,13 @@ def unread_answers(case: Case) -> Claims:
 
     Do: read whole answers, and clear the input before each question.
     """
+    stuffed = case.count(ev.STUFFED)
+    if stuffed >= INCIDENTS_MIN:
+        yield Claim('the program leaves the last byte unread of answers that byte stuffing makes '
+                    'longer (FF FF FD in their data comes as FF FF FD FD): let it read as many '
+                    'bytes as their Length says, and remove that FD',
+                    {'read in part': stuffed}, covers=tuple(case.by_id))
+        return
     split = case.count(ev.SPLIT)
     if split >= INCIDENTS_MIN:
         yield Claim(f'the program reads a part of an answer and asks on, {split} times in 10 s: '
@@ -152,6 +160,20 @@ def rate_refused(case: Case) -> Claims:
         yield Claim('the driver of the adapter refuses the rate that the program sets after '
                     f'{case.report.baud} Bd; nothing was asked at it: leave it out, or use '
                     'another adapter', is_certain=True)
+
+
+@Rule(subject='bus', level=Level.ERROR,
+      accounts_for={'unsent instructions'})
+def port_lost(case: Case) -> Claims:
+    """
+    The driver hung up the port of the program: its adapter was gone.
+
+    Do: check USB plug, cable, hub; open the port again.
+    """
+    for lost in case.incidents(ev.PORT_LOST)[-1:]:
+        yield Claim('the port was lost while the program used it '
+                    f'({os.strerror(lost.detail.number)}): check USB plug, cable, hub and its '
+                    'supply; let the program close the port and open it again', is_certain=True)
 
 
 @Rule(subject='bus', level=Level.ERROR,
@@ -474,7 +496,8 @@ def master_stopped(case: Case) -> Claims:
     """
     report = case.report
     if case.quiet_s < STOPPED_MIN_S or (report.last_byte_s or 0.0) < STOPPED_MIN_S \
-            or report.stamp - report.deaf < STOPPED_MIN_S * NS_PER_S:
+            or report.stamp - report.deaf < STOPPED_MIN_S * NS_PER_S \
+            or ev.PORT_LOST in report.kinds:
         return                                 # a closed port hears no master
     since = (report.asked - case.run_from) / NS_PER_S
     if since < WORKED_MIN_S:
@@ -757,7 +780,7 @@ def _may_come_late(case: Case, device: DeviceReport) -> bool:
         or any(case.count(kind) for kind in (ev.STALE, ev.UNASKED, ev.THROWN_AWAY, ev.LATE))
 
 
-RULES = (rate_refused, line_mode, unread_answers, wrong_packets, eeprom_locked, wrong_address,
-    goal_limits, refused, impossible_id, master_stopped, scan, models, eeprom_wear,
+RULES = (rate_refused, port_lost, line_mode, unread_answers, wrong_packets, eeprom_locked,
+    wrong_address, goal_limits, refused, impossible_id, master_stopped, scan, models, eeprom_wear,
     fast_read_unsupported, sync_read_unsupported, group_read_unanswered, unstuffed, no_acks,
     never_written)
