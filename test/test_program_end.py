@@ -158,6 +158,23 @@ def test_a_program_that_asks_before_it_has_read_an_answer_to_its_end(between, re
     assert (('unread_answers', 'the') in told(program)[0]) == is_said
 
 
+@pytest.mark.parametrize(('after_ms', 'many', 'is_said'), [(0.2, 1, True), (3.0, 1, False),
+                                                          (0.2, 2, False)],
+                         ids=['asks on at once', 'another thread asks', 'reads all'])
+def test_a_program_that_takes_the_answer_of_one_for_that_of_another(after_ms, many, is_said):
+    """The answers come two questions late."""
+    program, read = Script(ROWS['handshake']), 0
+    for turn in range(200):
+        program.write(encode(SIX[turn % 6], READ, PLACE), after=after_ms if turn % 6 else 20.0)
+        program.change(UNREAD, 0)
+        if turn % many == 1 % many and turn > 1:
+            program.read(b''.join(encode(SIX[one % 6], 0, b'\0\x08')
+                                  for one in range(read, read + many)), after=4.0)
+            read += many
+    program.end()
+    assert any('another device' in one.message for one in verdict_of(program).wrong) == is_said
+
+
 @pytest.mark.parametrize(('speed', 'left', 'is_said'), [
     (b'\xff\xff\xff\xff\xfd\x07', 1, True), (b'\xff\xff\xff\xff\xfd\x07', 0, False),
     (b'\xff\xff\xff\xff\xfc\x07', 1, False), (b'\xff\xff\xfd\xff\xff\xfd', 1, False)],

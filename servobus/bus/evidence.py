@@ -105,7 +105,7 @@ class Sizes(NamedTuple):
 
 
 class Count(NamedTuple):
-    """How many: answers missed in a row, writes without an answer, events or bytes lost."""
+    """A number: of answers missed in a row, of bytes or events lost; an ID, an errno."""
 
     number: int
 
@@ -167,6 +167,8 @@ THROWN_AWAY = IncidentKind[Code]('answers thrown away')       # unread
 WRONG_PACKET = IncidentKind[Code]('wrong packet')             # the master's: none takes it
 HUNG = IncidentKind[Lateness]('question never given up')
 SPLIT = IncidentKind[Nothing]('answer read in part')          # the program asked before its end
+TAKEN_FOR = IncidentKind[Count]('taken for another')          # whose answer; it asked on at once
+NOT_TAKEN = IncidentKind[Nothing]('not taken at once')         # counted only: the same, later
 STUFFED = IncidentKind[Nothing]('stuffing left unread')       # as many bytes as that added
 STALE = IncidentKind[Nothing]('stale answers')                # it reads those, not the new ones
 PORT_LOST = IncidentKind[Count]('port lost')                   # the errno

@@ -324,6 +324,7 @@ class Tracker:
         elif number in plan.slots or is_again:
             self._add_extra(number, True, stamp)
         else:
+            self.unread.note_old_answer(number, stamp)
             self._add_incident(stamp, ev.UNASKED, number, ev.NOTHING)
 
     def _add_extra(self, number: int, is_second: bool, stamp: int) -> None:
@@ -332,6 +333,7 @@ class Tracker:
             plan = self.pending if number in self.pending.slots else self._before
             self._add_incident(stamp, ev.SECOND_ANSWER, number, ev.Code(plan.request.instruction))
         else:
+            self.unread.note_old_answer(number, stamp)
             self._add_incident(stamp, ev.LATE, number, ev.Lateness(self._since_asked(stamp)))
 
     def _process_flaw(self, frame: Frame, flaw: Flaw, stamp: int, side: str) -> bool:

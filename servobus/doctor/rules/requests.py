@@ -50,6 +50,7 @@ from servobus.doctor.rule import Rule
 from servobus.doctor.symptom import DAMAGE
 from servobus.doctor.symptom import SILENCE
 from servobus.doctor.thresholds import INCIDENTS_MIN
+from servobus.doctor.thresholds import LONG_WAIT_MS
 from servobus.doctor.thresholds import STILL_MAX_STEPS
 from servobus.doctor.thresholds import TURN_STEPS
 from servobus.model.control_table import Field
@@ -71,6 +72,8 @@ STOPPED_MIN_S = 1.2                # two reports at the usual 2 Hz, and what chu
 STOPPED_WARN_S = 10.0              # a shorter pause may be meant
 WORKED_MIN_S = 2.5                 # a program that ran so long has stopped; a command is done
 TWIN_MIN_ANSWERS = 15              # the shares of fewer differ by chance
+TAKEN_MIN = 5                      # answers
+TAKEN_MAX_LATER = 1.5              # of those after which it did not ask at once: most are taken
 TWIN_MIN_FACTOR = 1.5              # two answer twice as often as one
 NO_IDS = (0xFD, 0xFF)
 _NO_ID = ', which no device can have (0 to 252): correct the ID in its program'
@@ -97,7 +100,7 @@ _PRO = {562: 'Torque Enable', 596: 'Goal Position', 600: 'Goal Velocity', 604: '
       symptoms={'unread bytes'},
       accounts_for={*SILENCE, *DAMAGE, 'hasty instructions', 'late answers',
                     'absence of several', 'damaged first bytes', 'silent bus', 'unasked answers',
-                    'no acknowledgements', 'wrong length', 'restart', 'slow cycle'})
+                    'no acknowledgements', 'wrong length', 'restart', 'slow cycle', 'busy line'})
 def unread_answers(case: Case) -> Claims:
     """
     It asks in the middle of an answer; or (Python with pyserial) some wait and others are missed.
@@ -116,6 +119,16 @@ def unread_answers(case: Case) -> Claims:
         yield Claim(f'the program reads a part of an answer and asks on, {split} times in 10 s: '
                     'let it read until the answer is whole, or its time-out is over',
                     {'read in part': split}, covers=tuple(case.by_id))
+        return
+    taken = Counter((one.device, one.detail.number) for one in case.incidents(ev.TAKEN_FOR))
+    kinds = case.report.kinds
+    if taken.total() >= TAKEN_MIN and kinds.get(ev.NOT_TAKEN, 0) \
+            <= TAKEN_MAX_LATER * kinds.get(ev.TAKEN_FOR, 0):
+        [((asked, number), _)] = taken.most_common(1)
+        yield Claim(f'the program asks {asked:03}, reads the late answer of {number:03}, and goes '
+                    f'on: it takes answers for those of another device; let it wait {LONG_WAIT_MS} '
+                    'ms for each, check its ID, and clear the input before it asks',
+                    {'taken for another': taken.total()}, covers=tuple(case.by_id))
         return
     if not case.count(ev.STALE):
         return
@@ -610,10 +623,12 @@ def no_acks(case: Case, device: DeviceReport) -> Found | None:
         return None                            # it does again: some were lost
     if not (has_ended or unanswered or device.status_return_level in (0, 1)):
         return None
-    level = device.status_return_level
+    less = case.report.protocol == FEETECH.name        # its levels 0 and 1 are 1 and 2 of others
+    level = '' if device.status_return_level is None else f'{device.status_return_level - less}'
     return Claim('does not acknowledge writes (Status Return Level '
-                 f"{level or 'below 2'}): a master that waits for it loses a time-out each time; "
-                 f"use Sync Write or level 2{'; if it has that, check its plugs' * has_ended}",
+                 f"{level or f'below {2 - less}'}): a master that waits for it loses a time-out "
+                 f'each time; use Sync Write or level {2 - less}'
+                 f"{'; if it has that, check its plugs' * has_ended}",
                  level=Level.WARN if has_ended else None, is_certain=has_ended,
                  rests_on=() if has_ended or unanswered else (ANSWER,))
 
