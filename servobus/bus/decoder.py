@@ -42,6 +42,7 @@ from servobus.bus.dxl1_classifier import REPLY_LATE_NS
 from servobus.bus.echo import EchoCounter
 from servobus.bus.evidence import Evidence
 from servobus.bus.expected import Expected
+from servobus.bus.port_sessions import PortSessions
 from servobus.bus.registry import DeviceRegistry
 from servobus.bus.report import CycleTimes
 from servobus.bus.report import PROTOCOL_2
@@ -85,6 +86,7 @@ class BusDecoder:
         self.echo = EchoCounter(self.evidence)
         self.clock = CycleClock()
         self.line_mode = 0
+        self.sessions = PortSessions(self.evidence)
         self.registry = DeviceRegistry(models, settings.devices, settings.baud, self.evidence)
         self.choice = DialectChoice(models, settings.protocol)
         self.choice.vote_by_devices(device.dialect for device in self.registry.devices.values())
@@ -218,6 +220,7 @@ class BusDecoder:
         """Take what a source reported besides bytes."""
         what, value = change
         self.clock.process_change(change, stamp)
+        self._note_session(what, stamp)
         if what == BAUD and value != self.settings.baud:
             self._set_baud(value, stamp)
         elif what == LATENCY_TIMER:
@@ -242,6 +245,14 @@ class BusDecoder:
             self.tracker.discount_latency(value, stamp)
         elif what in (CLOSED, GONE, LOST):
             self._end_stream(stamp, *((0, value) if what == GONE else (value * (what == LOST),)))
+
+    def _note_session(self, what: str, stamp: int) -> None:
+        """Note that the program opens its port, or closes it."""
+        if what == CLOSED:
+            sent = self.framers[OUT].bytes if OUT in self.framers else 0
+            self.sessions.end(stamp, sent, self.tracker.asked, self._last_in)
+        elif not self.sessions.opened_ns:
+            self.sessions.begin(stamp, self.framers[OUT].bytes if OUT in self.framers else 0)
 
     def _discard_unread(self, stamp: int) -> None:
         """Note that the program does not read what waits: an answer may have lost its end."""

@@ -116,7 +116,7 @@ class UnreadAnswers:
             (UNCERTAIN, QUESTIONS_KEPT), (DEFERRED, QUESTIONS_KEPT), (LAST, None), (DONE, 0))}
         self.deferred = self._questions[DEFERRED]
         self._given_up: deque[tuple[Slot, int]] = deque(maxlen=QUESTIONS_KEPT)
-        self._old_answers: deque[tuple[int, int]] = deque(maxlen=2)        # whose, and when
+        self._old_answers: deque[tuple[int, int]] = deque(maxlen=2)   # their ID and stamp
 
     @property
     def waiting(self) -> int:

@@ -72,6 +72,7 @@ STOPPED_MIN_S = 1.2                # two reports at the usual 2 Hz, and what chu
 STOPPED_WARN_S = 10.0              # a shorter pause may be meant
 WORKED_MIN_S = 2.5                 # a program that ran so long has stopped; a command is done
 TWIN_MIN_ANSWERS = 15              # the shares of fewer differ by chance
+VAIN_SESSIONS_MIN = 5              # openings of the port
 TAKEN_MIN = 5                      # answers
 TAKEN_MAX_LATER = 1.5              # of those after which it did not ask at once: most are taken
 TWIN_MIN_FACTOR = 1.5              # two answer twice as often as one
@@ -103,7 +104,7 @@ _PRO = {562: 'Torque Enable', 596: 'Goal Position', 600: 'Goal Velocity', 604: '
                     'no acknowledgements', 'wrong length', 'restart', 'slow cycle', 'busy line'})
 def unread_answers(case: Case) -> Claims:
     """
-    It asks in the middle of an answer; or (Python with pyserial) some wait and others are missed.
+    It asks in the middle of an answer, or reads old ones.
 
     Do: read whole answers, and clear the input before each question.
     """
@@ -125,10 +126,10 @@ def unread_answers(case: Case) -> Claims:
     if taken.total() >= TAKEN_MIN and kinds.get(ev.NOT_TAKEN, 0) \
             <= TAKEN_MAX_LATER * kinds.get(ev.TAKEN_FOR, 0):
         [((asked, number), _)] = taken.most_common(1)
-        yield Claim(f'the program asks {asked:03}, reads the late answer of {number:03}, and goes '
-                    f'on: it takes answers for those of another device; let it wait {LONG_WAIT_MS} '
-                    'ms for each, check its ID, and clear the input before it asks',
-                    {'taken for another': taken.total()}, covers=tuple(case.by_id))
+        yield Claim(f'the program asks {asked:03}, reads the late answer of {number:03}, and '
+                    'goes on: it takes answers for those of another device; let it wait '
+                    f'{LONG_WAIT_MS} ms for each, check its ID, and clear its input before it '
+                    'asks', {'taken for another': taken.total()}, covers=tuple(case.by_id))
         return
     if not case.count(ev.STALE):
         return
@@ -175,13 +176,37 @@ def rate_refused(case: Case) -> Claims:
                     'another adapter', is_certain=True)
 
 
+@Rule(subject='bus',
+      accounts_for={*SILENCE, 'silent bus', 'absence'})
+def port_reopened(case: Case) -> Claims:
+    """
+    Opened for each question; none asked soon after is answered.
+
+    Do: open it once, wait 2 s.
+    """
+    kinds = case.report.kinds
+    vain = kinds.get(ev.VAIN_SESSION, 0)
+    if vain < VAIN_SESSIONS_MIN or ev.ANSWERED_SOON in kinds:
+        return
+    seen = 'the program opens the port anew for each question, and none asked at once is ' \
+        'answered'
+    if ev.ANSWERED_LATER in kinds:
+        yield Claim(f'{seen}, but one asked a second later: a board (Arduino, OpenRB) restarts as '
+                    'its port is opened; let the program open it once, wait 2 s, and keep it open',
+                    {'opened in vain': vain}, is_certain=True)
+    elif not case.report.is_answered:
+        yield Doubt(f'{seen}: a board (Arduino, OpenRB) that restarts as its port is opened, or '
+                    'silent servos', step='let the program open it once, wait 2 s and ask: if '
+                    'that is answered, keep it open')
+
+
 @Rule(subject='bus', level=Level.ERROR,
       accounts_for={'unsent instructions'})
 def port_lost(case: Case) -> Claims:
     """
-    The driver hung up the port of the program: its adapter was gone.
+    The driver hung up the program's port.
 
-    Do: check USB plug, cable, hub; open the port again.
+    Do: check USB plug, cable, hub.
     """
     for lost in case.incidents(ev.PORT_LOST)[-1:]:
         yield Claim('the port was lost while the program used it '
@@ -195,8 +220,6 @@ def port_lost(case: Case) -> Claims:
 def line_mode(case: Case) -> Claims:
     """
     Answers are missed or damaged; the program's port is in line mode (ICANON) or changes bytes.
-
-    Only strace sees that.
 
     Do: set the port to raw before the first question.
     """
@@ -503,7 +526,7 @@ def master_stopped(case: Case) -> Claims:
     """
     No more instructions after 2.5 s of them or more.
 
-    An advice below 10 s, unless its last question got no answer; device states date from then.
+    An advice below 10 s, unless its last question got no answer.
 
     Do: check the program and its cable.
     """
@@ -795,7 +818,7 @@ def _may_come_late(case: Case, device: DeviceReport) -> bool:
         or any(case.count(kind) for kind in (ev.STALE, ev.UNASKED, ev.THROWN_AWAY, ev.LATE))
 
 
-RULES = (rate_refused, port_lost, line_mode, unread_answers, wrong_packets, eeprom_locked,
-    wrong_address, goal_limits, refused, impossible_id, master_stopped, scan, models, eeprom_wear,
-    fast_read_unsupported, sync_read_unsupported, group_read_unanswered, unstuffed, no_acks,
-    never_written)
+RULES = (rate_refused, port_lost, port_reopened, line_mode, unread_answers, wrong_packets,
+    eeprom_locked, wrong_address, goal_limits, refused, impossible_id, master_stopped, scan,
+    models, eeprom_wear, fast_read_unsupported, sync_read_unsupported, group_read_unanswered,
+    unstuffed, no_acks, never_written)
