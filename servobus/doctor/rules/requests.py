@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Callable
 from itertools import pairwise
 from operator import itemgetter
-import os
 
 from msg_defs.diagnostics import Level
 from msg_defs.dxl1_instruction import DYNAMIXEL_1
@@ -72,9 +71,11 @@ STOPPED_MIN_S = 1.2                # two reports at the usual 2 Hz, and what chu
 STOPPED_WARN_S = 10.0              # a shorter pause may be meant
 WORKED_MIN_S = 2.5                 # a program that ran so long has stopped; a command is done
 TWIN_MIN_ANSWERS = 15              # the shares of fewer differ by chance
+_READ_WRONGLY = {ev.STUFFED, ev.SPLIT, ev.TAKEN_FOR, ev.STALE}
+_HUNG_UP = {5: 'Input/output error', 6: 'No such device or address', 19: 'No such device'}
 VAIN_SESSIONS_MIN = 5              # openings of the port
 TAKEN_MIN = 5                      # answers
-TAKEN_MAX_LATER = 1.5              # of those after which it did not ask at once: most are taken
+TAKEN_MAX_LATER = 1.5              # as many as are taken: after these it did not ask at once
 TWIN_MIN_FACTOR = 1.5              # two answer twice as often as one
 NO_IDS = (0xFD, 0xFF)
 _NO_ID = ', which no device can have (0 to 252): correct the ID in its program'
@@ -108,12 +109,13 @@ def unread_answers(case: Case) -> Claims:
 
     Do: read whole answers, and clear the input before each question.
     """
-    stuffed = case.count(ev.STUFFED)
-    if stuffed >= INCIDENTS_MIN:
+    if not _READ_WRONGLY & case.incidents_by_kind.keys():
+        return
+    if case.count(ev.STUFFED) >= INCIDENTS_MIN:
         yield Claim('the program leaves the last byte unread of answers that byte stuffing makes '
                     'longer (FF FF FD in their data comes as FF FF FD FD): let it read as many '
                     'bytes as their Length says, and remove that FD',
-                    {'read in part': stuffed}, covers=tuple(case.by_id))
+                    {'read in part': case.count(ev.STUFFED)}, covers=tuple(case.by_id))
         return
     split = case.count(ev.SPLIT)
     if split >= INCIDENTS_MIN:
@@ -121,10 +123,7 @@ def unread_answers(case: Case) -> Claims:
                     'let it read until the answer is whole, or its time-out is over',
                     {'read in part': split}, covers=tuple(case.by_id))
         return
-    taken = Counter((one.device, one.detail.number) for one in case.incidents(ev.TAKEN_FOR))
-    kinds = case.report.kinds
-    if taken.total() >= TAKEN_MIN and kinds.get(ev.NOT_TAKEN, 0) \
-            <= TAKEN_MAX_LATER * kinds.get(ev.TAKEN_FOR, 0):
+    if taken := _taken_for_another(case):
         [((asked, number), _)] = taken.most_common(1)
         yield Claim(f'the program asks {asked:03}, reads the late answer of {number:03}, and '
                     'goes on: it takes answers for those of another device; let it wait '
@@ -145,6 +144,14 @@ def unread_answers(case: Case) -> Claims:
         f', and {twin:03} says twice as much as others: two devices have this ID; unplug one ' \
         'and change the ID of the other'
     yield Claim(f'{seen}{cause}', {'missed or damaged': harm}, covers=tuple(case.by_id))
+
+
+def _taken_for_another(case: Case) -> Counter[tuple[int, int]]:
+    """Return who was asked and who answered, where most such answers are taken; else nothing."""
+    kinds = case.report.kinds
+    taken = Counter((one.device, one.detail.number) for one in case.incidents(ev.TAKEN_FOR))
+    are_most = kinds.get(ev.NOT_TAKEN, 0) <= TAKEN_MAX_LATER * kinds.get(ev.TAKEN_FOR, 0)
+    return taken if taken.total() >= TAKEN_MIN and are_most else Counter()
 
 
 def _answers_twice(case: Case) -> int | None:
@@ -185,15 +192,15 @@ def port_reopened(case: Case) -> Claims:
     Do: open it once, wait 2 s.
     """
     kinds = case.report.kinds
-    vain = kinds.get(ev.VAIN_SESSION, 0)
-    if vain < VAIN_SESSIONS_MIN or ev.ANSWERED_SOON in kinds:
+    if ev.VAIN_SESSION not in kinds or kinds[ev.VAIN_SESSION] < VAIN_SESSIONS_MIN \
+            or ev.ANSWERED_SOON in kinds:
         return
-    seen = 'the program opens the port anew for each question, and none asked at once is ' \
+    seen = 'the program opens the port for each question, and none asked at once is ' \
         'answered'
     if ev.ANSWERED_LATER in kinds:
         yield Claim(f'{seen}, but one asked a second later: a board (Arduino, OpenRB) restarts as '
                     'its port is opened; let the program open it once, wait 2 s, and keep it open',
-                    {'opened in vain': vain}, is_certain=True)
+                    {'opened in vain': kinds[ev.VAIN_SESSION]}, is_certain=True)
     elif not case.report.is_answered:
         yield Doubt(f'{seen}: a board (Arduino, OpenRB) that restarts as its port is opened, or '
                     'silent servos', step='let the program open it once, wait 2 s and ask: if '
@@ -208,10 +215,13 @@ def port_lost(case: Case) -> Claims:
 
     Do: check USB plug, cable, hub.
     """
+    if ev.PORT_LOST not in case.incidents_by_kind:
+        return
     for lost in case.incidents(ev.PORT_LOST)[-1:]:
-        yield Claim('the port was lost while the program used it '
-                    f'({os.strerror(lost.detail.number)}): check USB plug, cable, hub and its '
-                    'supply; let the program close the port and open it again', is_certain=True)
+        error = _HUNG_UP.get(lost.detail.number, f'error {lost.detail.number}')
+        yield Claim(f'the port was lost while the program used it ({error}): check USB plug, '
+                    'cable, hub and its supply; let the program close the port and open it again',
+                    is_certain=True)
 
 
 @Rule(subject='bus', level=Level.ERROR,

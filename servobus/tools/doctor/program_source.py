@@ -58,7 +58,7 @@ CRASHES = {getattr(signal, f'SIG{name}', None) for name in (
 OVERLAPS_MIN = 3                   # two that read at once: at its end a program may do so once
 TURNS_OF_TWO = 4                   # between two who ask: a parent that hands on has fewer
 USERS_EVERY_S = 0.5                # at most, and more rarely in a long run: a look takes 0.03 s
-USERS_EVERY_SHARE = 0.1            # of the time since the start
+USERS_EVERY_SHARE = 0.1            # share of the time since the start
 LEFT_AFTER_S = 0.5                 # a process that still runs then has closed our connection
 _LEFT = ('the program closed the connection of the tap after {:.1f} s; what it sent and received '
          f'since then was not heard: write --by {STRACE} in front of --')
