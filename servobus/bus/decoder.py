@@ -220,9 +220,9 @@ class BusDecoder:
         """Take what a source reported besides bytes."""
         what, value = change
         self.clock.process_change(change, stamp)
-        self._note_session(what, stamp)
-        if what == BAUD and value != self.settings.baud:
+        if what == BAUD:                       # it opens the port, or sets another rate
             self._set_baud(value, stamp)
+            self.sessions.begin(stamp, self._sent)
         elif what == LATENCY_TIMER:
             self.set_latency_timer(value)
         elif what == NOT_SENT:
@@ -244,15 +244,12 @@ class BusDecoder:
         elif what == AWAY:
             self.tracker.discount_latency(value, stamp)
         elif what in (CLOSED, GONE, LOST):
-            self._end_stream(stamp, *((0, value) if what == GONE else (value * (what == LOST),)))
+            self._lose_stream(what, value, stamp)
 
-    def _note_session(self, what: str, stamp: int) -> None:
-        """Note that the program opens its port, or closes it."""
-        if what == CLOSED:
-            sent = self.framers[OUT].bytes if OUT in self.framers else 0
-            self.sessions.end(stamp, sent, self.tracker.asked, self._last_in)
-        elif not self.sessions.opened_ns:
-            self.sessions.begin(stamp, self.framers[OUT].bytes if OUT in self.framers else 0)
+    @property
+    def _sent(self) -> int:
+        """How many bytes the program has sent."""
+        return self.framers[OUT].bytes if OUT in self.framers else 0
 
     def _discard_unread(self, stamp: int) -> None:
         """Note that the program does not read what waits: an answer may have lost its end."""
@@ -262,10 +259,16 @@ class BusDecoder:
         if unread.waiting and framer is not None and framer.pending:
             self._flush(IN, framer, stamp)
 
-    def _end_stream(self, stamp: int, lost: int = 0, error: int = 0) -> None:
+    def _lose_stream(self, what: str, value: int, stamp: int) -> None:
+        """Note that the port is closed or gone, or that events were lost."""
+        if what == CLOSED:
+            self.sessions.end(stamp, self._sent, self.tracker.asked, self._last_in)
+        elif what == GONE and value > 1:       # the errno that the program got
+            self.tracker.lose_port(stamp, value)
+        self._end_stream(stamp, value if what == LOST else 0)
+
+    def _end_stream(self, stamp: int, lost: int = 0) -> None:
         """Take what is left as whole; what comes now has nothing to do with it."""
-        if error > 1:                          # the errno that the program got
-            self.tracker.lose_port(stamp, error)
         self._discard_unread(stamp)
         for side, framer in self.framers.items():
             self._flush(side, framer, stamp)
@@ -277,6 +280,8 @@ class BusDecoder:
 
     def _set_baud(self, baud: int, stamp: int) -> None:
         """Begin on a new wire: what was on the other one is over, and no damage here."""
+        if baud == self.settings.baud:
+            return
         self._end_stream(stamp)
         self.settings = self.settings._replace(baud=baud)
         self.byte_ns = self.tracker.byte_ns = byte_ns(baud)

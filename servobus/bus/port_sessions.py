@@ -26,7 +26,7 @@ class PortSessions:
         """Note that the port is closed; asked, answered: stamps of the last of each."""
         opened, self.opened_ns = self.opened_ns, 0
         size = sent - self._sent
-        if not size:
+        if not size or not opened:
             return
         if answered < opened:
             if stamp - opened < SHORT_NS:

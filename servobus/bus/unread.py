@@ -207,14 +207,15 @@ class UnreadAnswers:
 
     def end_question(self, question: OpenQuestion, now: int, byte_ns: float) -> bool:
         """Accept a question with answers that are due; return whether these are missed."""
-        self._note_taken(question, now, byte_ns)
+        if self._old_answers:
+            self._note_taken(question, now, byte_ns)
         if self._unsent_ns == question.asked:
             self._note_unsent(question, now)
             event = NOT_SENT
         elif not self.old_until and (
                 not self.reported_ns or question.is_spoilt or self._has_waited(question)
                 or self._has_had_time(question, now, byte_ns)):
-            event = WAITED
+            return NEXT[PENDING][WAITED] == MISSED     # nothing is kept
         else:
             event = NOT_READ if self._purged_ns < question.asked else NOT_READ_PURGED
             waited, slot = now - question.asked, question.due[0]

@@ -39,6 +39,7 @@ from servobus.doctor.facts import LIMIT_ERROR
 from servobus.doctor.facts import RANGE_ERROR
 from servobus.doctor.facts import raw_value
 from servobus.doctor.facts import SINGLE_WRITES
+from servobus.doctor.rule import all_ids
 from servobus.doctor.rule import ANSWER
 from servobus.doctor.rule import Claim
 from servobus.doctor.rule import Claims
@@ -257,13 +258,21 @@ def wrong_packets(case: Case) -> Claims:
 
     Do: correct the program.
     """
-    report, wrong = case.report, case.incidents(ev.WRONG_PACKET)
+    report = case.report
+    wrong = case.incidents(ev.WRONG_PACKET) if ev.WRONG_PACKET in case.incidents_by_kind else []
     sent = report.counters['Bytes']
     if (bad := repeated_bad_packet(case)) is not None:
         whom = '' if bad.id == BROADCAST else f' to {bad.id:03}'
         yield Claim(f'each {name_of(bad.instruction)}{whom} has the wrong {bad.field}, {bad.got}, '
                     f'right is {bad.right}: no servo takes it; correct the program',
                     {'noise (bytes)': report.counters['Noise Bytes']})
+    elif found := [one for one in case.cycles if one.instruction == Instruction.SYNC_WRITE
+                   and _counts_the_id(case, one)]:
+        size = found[0].length
+        yield Claim(f'Sync Write of {size} bytes a device names IDs that never answer, and of '
+                    f'{size - 1} bytes it has the same size: its length counts the ID too, so '
+                    'the values go to wrong devices; correct the program',
+                    {'IDs': all_ids(found[0].ids)}, level=Level.WARN)
     elif len(wrong) >= INCIDENTS_MIN:
         most = Counter((one.detail.instruction, one.device) for one in wrong)
         [((code, number), _)] = most.most_common(1)
@@ -283,6 +292,16 @@ def wrong_packets(case: Case) -> Claims:
             'packets begin with FF FF; send them as bytes, not as text'
         yield Claim(f'none of the {sent} bytes that the program sent is part of a packet that a '
                     f'servo takes: {what}', {'bytes': sent})
+
+
+def _counts_the_id(case: Case, cycle: Cycle) -> bool:
+    """Tell whether a Sync Write has IDs out of order, as values of the right length are there."""
+    ids, size = cycle.ids, cycle.length
+    if cycle.asked < INCIDENTS_MIN or size < 2 or len(ids) % size or [*ids] == sorted(ids):
+        return False
+    heard = [number in case.by_id and case.by_id[number].last_heard_s is not None
+             for number in ids]
+    return heard[0] and 2 * sum(heard) < len(ids)
 
 
 @Rule(subject='bus')
