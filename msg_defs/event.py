@@ -31,7 +31,7 @@ CHANGES_BYTES = 2                  # as 0D to 0A (ICRNL)
 TRACED = 'traced_us'               # what strace took since the master wrote before
 LOST = 'lost'                      # events or bytes that the source itself lost
 CLOSED = 'closed'                  # the master closed its port
-GONE = 'unplugged'
+GONE = 'unplugged'                 # or the driver has hung up: the errno that the master got
 CHANGES = (BAUD, LATENCY_TIMER, DTR, RTS, PURGED, OVERRUN, PARITY, FRAMING, BREAK, NOT_SENT,
            UNREAD, GAVE_UP, AWAY, BUSY, LINE_MODE, TRACED, LOST, CLOSED, GONE)
 

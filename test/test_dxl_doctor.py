@@ -555,6 +555,30 @@ def test_another_program_on_its_port_is_named(meeting_place, tmp_path):
     assert f'sleep (pid {other.pid}) uses its port too' in ' '.join(done.stdout.split())
 
 
+WAITS_IN_VAIN = """import os, serial, subprocess, time
+port = serial.Serial({path!r}, timeout=0.05)
+other = {other} or subprocess.Popen(('sleep', '60'), stdin=port.fileno()).pid
+for _ in range(4):
+    port.write(bytes((255, 255, 1, 2, 1, 251)))
+    port.read(6)
+time.sleep(1.5)
+os.kill(other, 9)
+time.sleep(0.3)"""
+
+
+@pytest.mark.realtime(bears=0.1)
+@pytest.mark.parametrize('is_own', [False, True])
+def test_another_program_that_is_gone_at_the_end_is_named(is_own, meeting_place, tmp_path):
+    with Pty(str(tmp_path / 'bus')) as pty, open(pty.path) as near, \
+            subprocess.Popen(('sleep', '60'), stdin=None if is_own else near) as other:
+        near.close()
+        done = doctor('run', '--', sys.executable, '-c', WAITS_IN_VAIN.format(
+            path=pty.path, other=0 if is_own else other.pid),
+            env={'XDG_RUNTIME_DIR': meeting_place, 'PYTHONPATH': str(ROOT)})
+        other.kill()
+    assert ('uses its port too' in ' '.join(done.stdout.split())) != is_own
+
+
 @pytest.mark.realtime(bears=0.02)
 @pytest.mark.parametrize(('options', 'script', 'words'), [
     (('no_such.py',), '', 'ended with exit code 2: there is no file no_such.py in this folder'),

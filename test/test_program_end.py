@@ -14,6 +14,7 @@ import pytest
 from test_foreign_programs import played
 import yaml
 
+from msg_defs import dxl_packet
 from msg_defs.diagnostics import Level
 from msg_defs.dxl1_packet import encode
 from msg_defs.event import Change
@@ -21,6 +22,7 @@ from msg_defs.event import Chunk
 from msg_defs.event import CLOSED
 from msg_defs.event import IN
 from msg_defs.event import OUT
+from msg_defs.event import PURGED
 from msg_defs.event import UNREAD
 from servobus.bus.report import OWN
 from servobus.bus.report import STOLE_REPLIES
@@ -154,6 +156,47 @@ def test_a_program_that_asks_before_it_has_read_an_answer_to_its_end(between, re
             program.read(answers[1], after=0.5)
     program.end()
     assert (('unread_answers', 'the') in told(program)[0]) == is_said
+
+
+@pytest.mark.parametrize(('after_ms', 'many', 'is_said'), [(0.2, 1, True), (3.0, 1, False),
+                                                          (0.2, 2, False)],
+                         ids=['asks on at once', 'another thread asks', 'reads all'])
+def test_a_program_that_takes_the_answer_of_one_for_that_of_another(after_ms, many, is_said):
+    """The answers come two questions late."""
+    program, read = Script(ROWS['handshake']), 0
+    for turn in range(200):
+        program.write(encode(SIX[turn % 6], READ, PLACE), after=after_ms if turn % 6 else 20.0)
+        program.change(UNREAD, 0)
+        if turn % many == 1 % many and turn > 1:
+            program.read(b''.join(encode(SIX[one % 6], 0, b'\0\x08')
+                                  for one in range(read, read + many)), after=4.0)
+            read += many
+    program.end()
+    assert any('another device' in one.message for one in verdict_of(program).wrong) == is_said
+
+
+@pytest.mark.parametrize(('speed', 'left', 'is_said'), [
+    (b'\xff\xff\xff\xff\xfd\x07', 1, True), (b'\xff\xff\xff\xff\xfd\x07', 0, False),
+    (b'\xff\xff\xff\xff\xfc\x07', 1, False), (b'\xff\xff\xfd\xff\xff\xfd', 1, False)],
+    ids=['a fixed count', 'by its Length', 'nothing is stuffed', 'twice stuffed'])
+@pytest.mark.parametrize('is_discarded', [True, False])
+def test_a_program_that_leaves_the_stuffing_unread(speed, left, is_said, is_discarded):
+    program = Script('0 baud 1000000; 0 unread 0')
+    for turn in range(60):
+        answer = dxl_packet.encode(1, 0x55, speed if turn % 9 == 0 else bytes(6), error=0)
+        rest = left if turn % 9 == 0 else 0
+        program.write(dxl_packet.encode(1, 2, b'\x80\0\x06\0'), after=20.0)
+        program.read(answer[:len(answer) - rest])
+        program.change(UNREAD, rest)
+        if is_discarded:
+            program.change(PURGED, 1)
+            program.change(UNREAD, 0)
+        elif rest:
+            program.write(dxl_packet.encode(2, 2, b'\x80\0\x06\0'), after=20.0)
+            program.read(answer[-rest:] + dxl_packet.encode(2, 0x55, bytes(6), error=0))
+            program.change(UNREAD, 0)
+    program.end()
+    assert any('byte stuffing' in one.message for one in verdict_of(program).wrong) == is_said
 
 
 @pytest.mark.parametrize(('steps_a_cycle', 'is_said'), [(34, False), (136, False), (0, True)])

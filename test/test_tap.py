@@ -32,6 +32,7 @@ from msg_defs.event import BAUD
 from msg_defs.event import BUSY
 from msg_defs.event import CLOSED
 from msg_defs.event import GAVE_UP
+from msg_defs.event import GONE
 from msg_defs.event import IN
 from msg_defs.event import LOST
 from msg_defs.event import NOT_SENT
@@ -572,6 +573,30 @@ def test_a_read_of_more_bytes_than_come_is_reported(size):
     said = [one.kind for one in mine if one.kind in (OUT, IN, GAVE_UP)
             or (one.kind == AWAY and one.value > 250_000)]
     assert said == [OUT, AWAY, IN, GAVE_UP, OUT, AWAY, IN, GAVE_UP]
+
+
+def test_a_port_that_is_gone_is_reported_once():
+    script = """
+        import contextlib, os, pty, serial, tty
+        far, near = pty.openpty()
+        tty.setraw(near)
+        path = os.ttyname(near)
+        port = serial.Serial(path, 9600, timeout=0.01)
+        port.write(b'abc')
+        port.read()
+        os.close(far)
+        for _ in range(3):
+            for call in (port.reset_input_buffer, port.read, lambda: port.write(b'def'),
+                         lambda: port.in_waiting):
+                with contextlib.suppress(OSError, __import__('termios').error): call()
+        port.close()
+        print('done')
+    """
+    with TapReader('robot') as reader, program(script) as child:
+        mine = listen(reader, closed(1))
+        done(child)
+    assert [(one.kind, one.data or one.value) for one in mine
+            if one.kind in (OUT, IN, GONE, NOT_SENT)] == [(OUT, b'abc'), (GONE, 5)]
 
 
 def test_whether_a_program_works_in_a_pause_is_reported():

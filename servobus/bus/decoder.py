@@ -40,6 +40,7 @@ from servobus.bus.dxl1_classifier import REPLY_LATE_NS
 from servobus.bus.echo import EchoCounter
 from servobus.bus.evidence import Evidence
 from servobus.bus.expected import Expected
+from servobus.bus.port_sessions import PortSessions
 from servobus.bus.registry import DeviceRegistry
 from servobus.bus.report import CycleTimes
 from servobus.bus.report import PROTOCOL_2
@@ -82,6 +83,7 @@ class BusDecoder:
         self.echo = EchoCounter(self.evidence)
         self.clock = CycleClock()
         self.line_mode = 0
+        self.sessions = PortSessions(self.evidence)
         self.registry = DeviceRegistry(models, settings.devices, settings.baud, self.evidence)
         self.choice = DialectChoice(models, settings.protocol)
         self.choice.vote_by_devices(device.dialect for device in self.registry.devices.values())
@@ -202,8 +204,9 @@ class BusDecoder:
         """Take what a source reported besides bytes."""
         what, value = change
         self.clock.process_change(change, stamp)
-        if what == BAUD and value != self.settings.baud:
+        if what == BAUD:                       # it opens the port, or sets another rate
             self._set_baud(value, stamp)
+            self.sessions.begin(stamp, self._sent)
         elif what == LATENCY_TIMER:
             self.set_latency_timer(value)
         elif what == NOT_SENT:
@@ -225,7 +228,12 @@ class BusDecoder:
         elif what == AWAY:
             self.tracker.discount_latency(value, stamp)
         elif what in (CLOSED, GONE, LOST):
-            self._end_stream(stamp, value if what == LOST else 0)
+            self._lose_stream(what, value, stamp)
+
+    @property
+    def _sent(self) -> int:
+        """How many bytes the program has sent."""
+        return self.framers[OUT].bytes if OUT in self.framers else 0
 
     def _discard_unread(self, stamp: int) -> None:
         """Note that the program does not read what waits: an answer may have lost its end."""
@@ -234,6 +242,14 @@ class BusDecoder:
         unread.discarded += unread.waiting
         if unread.waiting and framer is not None and framer.pending:
             self._flush(IN, framer, stamp)
+
+    def _lose_stream(self, what: str, value: int, stamp: int) -> None:
+        """Note that the port is closed or gone, or that events were lost."""
+        if what == CLOSED:
+            self.sessions.end(stamp, self._sent, self.tracker.asked, self._last_in)
+        elif what == GONE and value > 1:       # the errno that the program got
+            self.tracker.lose_port(stamp, value)
+        self._end_stream(stamp, value if what == LOST else 0)
 
     def _end_stream(self, stamp: int, lost: int = 0) -> None:
         """Take what is left as whole; what comes now has nothing to do with it."""
@@ -248,6 +264,8 @@ class BusDecoder:
 
     def _set_baud(self, baud: int, stamp: int) -> None:
         """Begin on a new wire: what was on the other one is over, and no damage here."""
+        if baud == self.settings.baud:
+            return
         self._end_stream(stamp)
         self.settings = self.settings._replace(baud=baud)
         self.registry.set_baud(baud)

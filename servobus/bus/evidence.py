@@ -19,6 +19,7 @@ from msg_defs.dxl1_packet import Dxl1Framer
 from msg_defs.dxl_instruction import error_text
 from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_packet import STATUS
+from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.frame import Flaw
 from msg_defs.frame import Frame
@@ -103,7 +104,7 @@ class Sizes(NamedTuple):
 
 
 class Count(NamedTuple):
-    """How many: answers missed in a row, writes without an answer, events or bytes lost."""
+    """A number: of answers missed in a row, of bytes or events lost; an ID, an errno."""
 
     number: int
 
@@ -163,11 +164,20 @@ THROWN_AWAY = IncidentKind('answers thrown away', Code)       # unread
 WRONG_PACKET = IncidentKind('wrong packet', Code)             # the master's: none takes it
 HUNG = IncidentKind('question never given up', Lateness)
 SPLIT = IncidentKind('answer read in part', Nothing)          # the program asked before its end
+TAKEN_FOR = IncidentKind('taken for another', Count)   # the ID that answered; asked on at once
+NOT_TAKEN = IncidentKind('not taken at once', Nothing)         # counted only: the same, later
+STUFFED = IncidentKind('stuffing left unread', Nothing)       # as many bytes as that added
 STALE = IncidentKind('stale answers', Nothing)                # it reads those, not the new ones
+VAIN_SESSION = IncidentKind('vain session', Nothing)          # no answer from opening to closing
+ANSWERED_LATER = IncidentKind('answered later', Nothing)      # long after the port was opened
+ANSWERED_SOON = IncidentKind('answered soon', Nothing)        # counted only
+PORT_LOST = IncidentKind('port lost', Count)                   # the errno
 SOURCE_LOST = IncidentKind('source lost', Count)
 LEFT_OPEN = IncidentKind('last question open', Lateness)      # it ended too soon to know
 
 _INCIDENTS_KEPT = 1000
+_STUFFED = b'\xff\xff\xfd\xfd'
+_LENGTH_END = 3                     # in a damaged frame: its ID and Length
 _FREQUENT_APART_NS = 100_000_000  # between two that are kept, where each packet may be one
 _ERRORS_KEPT = 50
 WAITS_KEPT = 256
@@ -195,6 +205,7 @@ _TEXTS: dict[str, str] = {
     WRONG_PACKET: '{instruction} with a wrong CRC, checksum or Length',
     FOREIGN: '{instruction} of another master',
     NOT_SENT: '{instruction} that did not leave the adapter',
+    PORT_LOST: 'the program lost its port: error {number}',
     SOURCE_LOST: '{number} events or bytes that were not heard',
 }
 
@@ -246,10 +257,17 @@ class Evidence:
         elif flaw.reason == 'length':
             self.add_incident(stamp, BAD_LENGTH, NO_DEVICE, flaw.length)
         elif flaw.reason == 'cut':
+            self.note_stuffed(stamp, frame, flaw, side)
             self.add_incident(stamp, CUT, NO_DEVICE, code, flaw.length)
         else:
             damaged = DAMAGED_STATUS if kind == IS_STATUS else DAMAGED_INSTRUCTION
             self.add_incident(stamp, damaged, number, code, flaw.length)
+
+    def note_stuffed(self, stamp: int, frame: Frame, flaw: Flaw, side: str) -> None:
+        """Note an answer of which the program left as many bytes as byte stuffing had added."""
+        body, added = frame[5], frame[5].count(_STUFFED)
+        if side == IN and 0 < added == flaw.length + _LENGTH_END - len(body):
+            self.add_incident(stamp, STUFFED, frame[3])
 
     def search_noise(self, noise: bytes, fresh: int, stamp: int) -> None:
         """Search for packets of Protocol 1.0 that end in the last `fresh` bytes of noise."""

@@ -124,6 +124,11 @@ class Tracker:
             self._add_incident(stamp, ev.NOT_SENT, self._last[1], self._last[2])
         self._forget()
 
+    def lose_port(self, stamp: int, error: int) -> None:
+        """Note that the program's port went away: what is pending says nothing of the bus."""
+        self._add_incident(stamp, ev.PORT_LOST, ev.NO_DEVICE, error)
+        self._forget()
+
     def lose_track(self, stamp: int, lost: int) -> None:
         """Judge nothing that is pending: `lost` events were not heard, or the port was closed."""
         if lost:
@@ -318,6 +323,7 @@ class Tracker:
         elif number in plan.slots or is_again:
             self._add_extra(number, True, stamp)
         else:
+            self.unread.note_old_answer(number, stamp)
             self._add_incident(stamp, ev.UNASKED, number)
 
     def _add_extra(self, number: int, is_second: bool, stamp: int) -> None:
@@ -326,6 +332,7 @@ class Tracker:
             plan = self.pending if number in self.pending.slots else self._before
             self._add_incident(stamp, ev.SECOND_ANSWER, number, plan.request.instruction)
         else:
+            self.unread.note_old_answer(number, stamp)
             self._add_incident(stamp, ev.LATE, number, self._since_asked(stamp))
 
     def _process_flaw(self, frame: Frame, flaw: Flaw, stamp: int, side: str) -> bool:
@@ -336,7 +343,8 @@ class Tracker:
         if noise > GLITCH and side == IN:      # what came before the question is no matter
             noise = min(noise, max(0, frame[0] - self.quiet_from))
         self._noise = noise
-        if reason == 'cut' and self.unread.accept_truncated_reply(frame, noise, self.slots, stamp):
+        if reason == 'cut' and self.unread.accept_truncated_reply(
+                frame, flaw, noise, self.slots, stamp):
             del self.slots[frame[3]]
             return True
         if noise > GLITCH:

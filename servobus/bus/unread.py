@@ -36,6 +36,7 @@ from itertools import accumulate
 
 from msg_defs.dxl_instruction import ALERT
 from msg_defs.event import IN
+from msg_defs.frame import Flaw
 from msg_defs.frame import Frame
 from msg_defs.frame import Frames
 from msg_defs.frame import GLITCH
@@ -58,6 +59,8 @@ UNREAD_REPLY_NS = 10_000_000_000   # for so long an answer may wait unread
 ADAPTER_DELAY_NS = 17_000_000      # a latency timer of 16 ms, and Return Delay Time
 ADAPTER_SPARE_NS, ADAPTER_SLOWDOWN = 5_000_000, 2      # an adapter gets slower by no more
 NO_WAIT_NS = 500_000               # who looks no longer than that did not wait for an answer
+READ_SIZE = 14                     # bytes of a Read of Protocol 2.0
+AT_ONCE_NS = 500_000               # after a read: the next question follows from it
 HUNG_WAIT_NS = 2_000_000_000            # a program that waits longer has no time-out
 ACKS_READ_MIN = 10                 # answers to one write: it does not go on without them
 QUESTIONS_KEPT = 16
@@ -114,6 +117,7 @@ class UnreadAnswers:
             (UNCERTAIN, QUESTIONS_KEPT), (DEFERRED, QUESTIONS_KEPT), (LAST, None), (DONE, 0))}
         self.deferred = self._questions[DEFERRED]
         self._given_up: deque[tuple[Slot, int]] = deque(maxlen=QUESTIONS_KEPT)
+        self._old_answers: deque[tuple[int, int]] = deque(maxlen=2)   # their ID and stamp
 
     @property
     def waiting(self) -> int:
@@ -200,13 +204,15 @@ class UnreadAnswers:
 
     def end_question(self, question: OpenQuestion, now: int) -> bool:
         """Accept a question with answers that are due; return whether these are missed."""
+        if self._old_answers:
+            self._note_taken(question, now)
         if self._unsent_ns == question.asked:
             self._note_unsent(question, now)
             event = NOT_SENT
         elif not self.old_until and (
                 not self.reported_ns or question.is_spoilt or self._has_waited(question)
                 or self._has_had_time(question, now)):
-            event = WAITED
+            return NEXT[PENDING][WAITED] == MISSED     # nothing is kept
         else:
             event = NOT_READ if self._purged_ns < question.asked else NOT_READ_PURGED
             waited, slot = now - question.asked, question.due[0]
@@ -217,6 +223,24 @@ class UnreadAnswers:
             return True
         self._questions[state].append(question)
         return False
+
+    def note_old_answer(self, number: int, stamp: int) -> None:
+        """Note that the answer to an earlier question is read."""
+        self._old_answers.append((number, stamp))
+
+    def _note_taken(self, question: OpenQuestion, now: int) -> None:
+        """Note that the program asks on after it has read one answer, that of another device."""
+        written = question.asked - self._registry.byte_ns * READ_SIZE     # it may read on at once
+        read = [one for one in self._old_answers if one[1] > written]
+        self._old_answers.clear()
+        asked = question.due[0].device.number
+        if len(read) != 1 or read[0][0] == asked:
+            return
+        [(number, stamp)] = read
+        if now - stamp < AT_ONCE_NS:
+            self._evidence.add_frequent(now, ev.TAKEN_FOR, asked, number)
+        else:
+            self._evidence.counts[ev.NOT_TAKEN] += 1
 
     def keep_uncertain(self, question: OpenQuestion) -> None:
         """Accept a write that is over, of which it is unknown whether it is acknowledged."""
@@ -308,6 +332,7 @@ class UnreadAnswers:
             return False
         question, slot = found
         device = slot.device
+        self.note_old_answer(number, stamp)
         question.due.remove(slot)
         if not question.due:
             self._end_deferred(question, ANSWERED, stamp)
@@ -325,6 +350,7 @@ class UnreadAnswers:
                       before: Plan) -> None:
         """Accept an answer that waited and that nothing asked for, as far as is known."""
         self._registry.accept_status(device, code, stamp)
+        self.note_old_answer(device.number, stamp)
         if device.accept_late_reply(stamp, self.late_reply_ns):
             self._evidence.add_incident(stamp, ev.LATE, device.number, 0)
         elif before.asks(device, len(data)) or (
@@ -341,7 +367,7 @@ class UnreadAnswers:
             if len(question.due) == 1:
                 self._end_deferred(question, DAMAGED, stamp)
 
-    def accept_truncated_reply(self, frame: Frame, noise: int, slots: dict[int, Slot],
+    def accept_truncated_reply(self, frame: Frame, flaw: Flaw, noise: int, slots: dict[int, Slot],
                                stamp: int) -> bool:
         """Accept an answer of which the program discarded just the end; or return False."""
         begin, end, _, number, *_ = frame
@@ -349,6 +375,7 @@ class UnreadAnswers:
         if slot is None or end - begin + self.discarded != slot.status_size:
             return False
         self.discarded = 0
+        self._evidence.note_stuffed(stamp, frame, flaw, IN)
         slot.device.counts.answers += 1
         self._registry.accept_status(slot.device, 0, stamp)
         self._evidence.counts[ev.GLITCH] += noise > 0

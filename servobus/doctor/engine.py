@@ -42,7 +42,8 @@ HOLD_NS = 3 * NS_PER_S             # a claim lasts so much longer than its evide
 
 
 # The rules that work on a bus on which nothing happens any more.
-_AT_REST = (missing.sync_read_stops, missing.no_answer, requests.master_stopped)
+_AT_REST = (missing.sync_read_stops, missing.no_answer, requests.master_stopped,
+            requests.port_lost)
 _Key = tuple[str, int | None]
 
 

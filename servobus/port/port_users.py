@@ -28,6 +28,7 @@ class PortUser(NamedTuple):
     name: str
     is_login: bool                 # it offers a login
     is_maker: bool                 # it made this pty: a simulated bus holds both ends of its own
+    process: int
 
 
 def holders(path: str, root: Path = ROOT) -> list[PortUser]:
@@ -53,7 +54,8 @@ def _holders(path: str, root: Path) -> Iterator[PortUser]:
                 is_controlled_by(process, path, status) or _has_open(process, status))):
             yield PortUser(f'{program or "a process"} (pid {user.name})', is_login,
                            status is not None and (_has_made(process, status.st_rdev)
-                                                   or _has_made(user, status.st_rdev)))
+                                                   or _has_made(user, status.st_rdev)),
+                           int(user.name))
 
 
 def _serves(process: Path, tty: str) -> bool:
@@ -98,6 +100,13 @@ def _stat_field(process: Path, index: int) -> int:
     """Return a number of /proc/PID/stat after the name, 0 where the process has ended."""
     fields = _stat_fields(process)
     return int(fields[index]) if len(fields) > index else 0
+
+
+def is_started_by(process: int, ancestor: int) -> bool:
+    """Tell whether a process is another one, or a child of it, or of a child."""
+    while process not in (0, ancestor):
+        process = _stat_field(ROOT / f'proc/{process}', _PPID)
+    return process == ancestor
 
 
 def _stat_fields(process: Path) -> list[str]:

@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from dataclasses import field
+import errno
 import re
 import termios
 from typing import NamedTuple
@@ -27,6 +28,7 @@ from msg_defs.event import CHANGES_BYTES
 from msg_defs.event import CLOSED
 from msg_defs.event import DTR
 from msg_defs.event import GAVE_UP
+from msg_defs.event import GONE
 from msg_defs.event import HOLDS_LINES
 from msg_defs.event import IN
 from msg_defs.event import LINE_MODE
@@ -47,6 +49,7 @@ PRINTED_MAX_BYTES = 65_536         # bytes that strace prints of a call
 _WRITES = frozenset(('write', 'pwrite64', 'writev', 'pwritev', 'pwritev2'))
 _READS = frozenset(('read', 'pread64', 'readv', 'preadv', 'preadv2'))
 _WAITS = frozenset(('poll', 'ppoll', 'select', 'pselect6'))
+_HUNG_UP = {one.encode(): getattr(errno, one) for one in ('EIO', 'ENXIO', 'ENODEV')}
 _UNSEEN = frozenset(('splice', 'sendfile', 'copy_file_range'))      # strace prints no bytes
 _OTHERS = ('open', 'openat', 'openat2', 'creat', 'close', 'dup', 'dup2', 'dup3', 'fcntl', 'ioctl',
            'epoll_ctl')
@@ -59,7 +62,7 @@ OPTIONS = ('-DDD', '-f', '-I1', '-q', '-y', '-v', '-xx', '-X', 'raw', '-s', str(
                f'?{name}' for name in (*sorted(_WRITES | _READS | _WAITS | _UNSEEN), *_OTHERS)))
 
 _LINE = re.compile(rb' *(\d+) +(\d+)\.(\d{9}) \(\+ +(\d+)\.(\d{9})\) (.*)')
-_CALL = re.compile(rb'(\w+)\((.*)\)\s+= (-?\d+)(?:<([^>]*)>(?:\(deleted\))?)?(?: [^<].*?)?'
+_CALL = re.compile(rb'(\w+)\((.*)\)\s+= (-?\d+)(?:<([^>]*)>(?:\(deleted\))?)?(?: (E\w+)?[^<].*?)?'
                    rb'(?: <(\d+)\.(\d{9})>)?')
 _FD = re.compile(rb'(\d+)<((?:\\x[0-9a-f]{2})+)>')
 _STRING = re.compile(rb'"((?:\\x[0-9a-f]{2})*)"')
@@ -104,6 +107,7 @@ class _TracedPort:
     rate: int = 0                          # not said yet; 0: nothing new
     has_odd_rate: bool = False             # 38400 may mean any rate
     line_mode: int = 0
+    is_lost: bool = False                  # its driver has hung up
     looked: tuple[int, int] | None = None  # for bytes: when, and what it returned
     away_ns: int = 0                       # until bytes were found
     is_awaited: bool = False               # by epoll
@@ -163,7 +167,7 @@ class StraceParser:
         found = _CALL.fullmatch(text)
         if found is None:
             return
-        took = int(found[5]) * 10**9 + int(found[6]) if found[5] else 0
+        took = int(found[6]) * 10**9 + int(found[7]) if found[6] else 0
         end = self._now + (0 if is_resumed else took)
         yield from self._parse_call(found, thread, end - took, end)
 
@@ -174,6 +178,7 @@ class StraceParser:
         self._remember_wait(name, arguments, result, end, away_ns)
         opened = self._port(found[4] or b'')
         if opened is not None:
+            opened.is_lost = False
             yield from _hold(opened, thread, result, end)
         first = _FD.match(arguments)
         port = first and self._port(first[2])
@@ -184,6 +189,9 @@ class StraceParser:
             yield from _release(port, {(thread.process, descriptor)}, begin)
             return
         yield from _hold(port, thread, descriptor, begin)
+        if found[5] in _HUNG_UP and not port.is_lost:
+            port.is_lost = True
+            yield PortEvent(end, port.name, GONE, value=_HUNG_UP[found[5]])
         if name == 'ioctl' and result >= 0:
             with suppress(ValueError):         # numbers that are none
                 yield from _ioctl(port, arguments, end)

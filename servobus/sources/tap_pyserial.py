@@ -47,6 +47,7 @@ class _OpenSerial:
         self.read_ns = self.read_cpu_ns = 0    # when it last read, and CPU time then
         self.waits_unseen = False              # it has the descriptor, and waits by itself
         self.reading: set[int] = set()         # threads that read it now
+        self.is_lost = False                   # the driver has hung up
 
 
 def _wrap_read(sender: Any, original: _Method) -> _Method:
@@ -68,6 +69,9 @@ def _wrap_read(sender: Any, original: _Method) -> _Method:
             pass
         try:
             data = original(self, *args, **kwargs)
+        except Exception:
+            _report_lost(sender, self)
+            raise
         finally:
             reading.discard(me)
         try:
@@ -105,14 +109,16 @@ def _wrap_write(sender: Any, original: _Method) -> _Method:
                 data = bytearray(data)
             whole = bytes(data)
             port = self.__dict__[_STATE].number
-            size = len(whole)
-            put('out', port, whole)
+            size = 0 if self.__dict__[_STATE].is_lost else len(whole)
+            if size:
+                put('out', port, whole)
         except Exception:
             pass
         try:
             written = original(self, data, *args, **kwargs)
         except BaseException:
-            _report_not_sent(sender, port, size)
+            if not _report_lost(sender, self):
+                _report_not_sent(sender, port, size)
             raise
         with suppress(KeyError):
             self.__dict__[_STATE].looked_ns = time.monotonic_ns()
@@ -128,6 +134,22 @@ def _report_not_sent(sender: Any, port: int, size: int) -> None:
             sender.number('not_sent', port, size)
 
 
+def _report_lost(sender: Any, serial: Any) -> bool:
+    """Report once that the driver has hung up a port; return whether it has."""
+    with suppress(Exception):
+        state = serial.__dict__[_STATE]
+        if not state.is_lost:
+            import termios  # not on Windows
+
+            try:
+                termios.tcgetattr(serial.fd)
+            except termios.error as error:
+                state.is_lost = True
+                sender.number('unplugged', state.number, error.args[0])
+        return bool(state.is_lost)
+    return False
+
+
 def _wrap_around(after: _Report, before: _Report = lambda sender, serial: None
                  ) -> Callable[[Any, _Method], _Method]:
     """Return a wrapper that reports a call before and after it."""
@@ -135,7 +157,11 @@ def _wrap_around(after: _Report, before: _Report = lambda sender, serial: None
         def call(self: Any, *args: Any, **kwargs: Any) -> Any:
             with suppress(Exception):
                 before(sender, self)
-            result = original(self, *args, **kwargs)
+            try:
+                result = original(self, *args, **kwargs)
+            except Exception:
+                _report_lost(sender, self)
+                raise
             with suppress(Exception):
                 after(sender, self)
             return result
@@ -149,7 +175,11 @@ def _wrap_in_waiting(sender: Any, original: Any) -> Any:
         return original
 
     def in_waiting(self: Any) -> Any:
-        waiting = ask(self)
+        try:
+            waiting = ask(self)
+        except Exception:
+            _report_lost(sender, self)
+            raise
         if not waiting:
             with suppress(KeyError):
                 self.__dict__[_STATE].looked_ns = time.monotonic_ns()

@@ -44,7 +44,7 @@ TWO_READERS = 'two_readers'                # wait for bytes at once; 1: threads,
 HAS_DIED = 3                               # its value where one of these threads did
 KINDS = ('hello', OPENED, 'closed', 'out', 'in', 'baud', 'purged', 'not_sent', 'lost', 'unread',
          ENDED, 'dtr', 'rts', 'gave_up_us', 'traced_us', 'away_us', 'busy_us',
-         'line_mode', TWO_READERS)
+         'line_mode', TWO_READERS, 'unplugged')
 NUMBER = struct.Struct('<q')               # what follows the others
 
 PORT = re.compile(r'/dev/(?:(?!ttyprintk)tty[A-Za-z]\w*|rfcomm\d+|pts/\d+)')
@@ -235,7 +235,7 @@ class Sender:
         self.put(OPENED, number, encoded, stamp)
         if baud:
             self.number('baud', number, baud, stamp)
-        self._mark(USED + encoded + b'\n')
+        self._mark(USED + os.path.realpath(name).encode('utf-8', 'replace') + b'\n')
         return number
 
     def rate(self, port: int, baud: int, stamp: int = 0) -> None:

@@ -40,6 +40,7 @@ from servobus.doctor.facts import LIMIT_ERROR
 from servobus.doctor.facts import RANGE_ERROR
 from servobus.doctor.facts import raw_value
 from servobus.doctor.facts import SINGLE_WRITES
+from servobus.doctor.rule import all_ids
 from servobus.doctor.rule import ANSWER
 from servobus.doctor.rule import Claim
 from servobus.doctor.rule import Claims
@@ -50,6 +51,7 @@ from servobus.doctor.rule import Rule
 from servobus.doctor.symptom import DAMAGE
 from servobus.doctor.symptom import SILENCE
 from servobus.doctor.thresholds import INCIDENTS_MIN
+from servobus.doctor.thresholds import LONG_WAIT_MS
 from servobus.doctor.thresholds import SPEED_MIN
 from servobus.doctor.thresholds import STILL_MAX_STEPS
 from servobus.doctor.thresholds import TURN_STEPS
@@ -78,6 +80,11 @@ STOPPED_MIN_S = 1.2                # two reports at the usual 2 Hz, and what chu
 STOPPED_WARN_S = 10.0              # a shorter pause may be meant
 WORKED_MIN_S = 2.5                 # a program that ran so long has stopped; a command is done
 TWIN_MIN_ANSWERS = 15              # the shares of fewer differ by chance
+_READ_WRONGLY = {ev.STUFFED, ev.SPLIT, ev.TAKEN_FOR, ev.STALE}
+_HUNG_UP = {5: 'Input/output error', 6: 'No such device or address', 19: 'No such device'}
+VAIN_SESSIONS_MIN = 5              # openings of the port
+TAKEN_MIN = 5                      # answers
+TAKEN_MAX_LATER = 1.5              # as many as are taken: after these it did not ask at once
 TWIN_MIN_FACTOR = 1.5              # two answer twice as often as one
 NO_IDS = (0xFD, 0xFF)
 _NO_ID = ', which no device can have (0 to 252): correct the ID in its program'
@@ -104,18 +111,33 @@ _PRO = {562: 'Torque Enable', 596: 'Goal Position', 600: 'Goal Velocity', 604: '
       symptoms={'unread bytes'},
       accounts_for={*SILENCE, *DAMAGE, 'hasty instructions', 'late answers',
                     'absence of several', 'damaged first bytes', 'silent bus', 'unasked answers',
-                    'no acknowledgements', 'wrong length', 'restart', 'slow cycle'})
+                    'no acknowledgements', 'wrong length', 'restart', 'slow cycle', 'busy line'})
 def unread_answers(case: Case) -> Claims:
     """
-    It asks in the middle of an answer; or (Python with pyserial) some wait and others are missed.
+    It asks in the middle of an answer, or reads old ones.
 
     Do: read whole answers, and clear the input before each question.
     """
+    if not _READ_WRONGLY & case.incidents_by_kind.keys():
+        return
+    if case.count(ev.STUFFED) >= INCIDENTS_MIN:
+        yield Claim('the program leaves the last byte unread of answers that byte stuffing makes '
+                    'longer (FF FF FD in their data comes as FF FF FD FD): let it read as many '
+                    'bytes as their Length says, and remove that FD',
+                    {'read in part': case.count(ev.STUFFED)}, covers=tuple(case.by_id))
+        return
     split = case.count(ev.SPLIT)
     if split >= INCIDENTS_MIN:
         yield Claim(f'the program reads a part of an answer and asks on, {split} times in 10 s: '
                     'let it read until the answer is whole, or its time-out is over',
                     {'read in part': split}, covers=tuple(case.by_id))
+        return
+    if taken := _taken_for_another(case):
+        [((asked, number), _)] = taken.most_common(1)
+        yield Claim(f'the program asks {asked:03}, reads the late answer of {number:03}, and '
+                    'goes on: it takes answers for those of another device; let it wait '
+                    f'{LONG_WAIT_MS} ms for each, check its ID, and clear its input before it '
+                    'asks', {'taken for another': taken.total()}, covers=tuple(case.by_id))
         return
     if not case.count(ev.STALE):
         return
@@ -131,6 +153,14 @@ def unread_answers(case: Case) -> Claims:
         f', and {twin:03} says twice as much as others: two devices have this ID; unplug one ' \
         'and change the ID of the other'
     yield Claim(f'{seen}{cause}', {'missed or damaged': harm}, covers=tuple(case.by_id))
+
+
+def _taken_for_another(case: Case) -> Counter[tuple[int, int]]:
+    """Return who was asked and who answered, where most such answers are taken; else nothing."""
+    kinds = case.report.kinds
+    taken = Counter((one.device, one.detail.number) for one in case.incidents(ev.TAKEN_FOR))
+    are_most = kinds.get(ev.NOT_TAKEN, 0) <= TAKEN_MAX_LATER * kinds.get(ev.TAKEN_FOR, 0)
+    return taken if taken.total() >= TAKEN_MIN and are_most else Counter()
 
 
 def _answers_twice(case: Case) -> int | None:
@@ -162,14 +192,53 @@ def rate_refused(case: Case) -> Claims:
                     'another adapter', is_certain=True)
 
 
+@Rule(subject='bus',
+      accounts_for={*SILENCE, 'silent bus', 'absence'})
+def port_reopened(case: Case) -> Claims:
+    """
+    Opened for each question; none asked soon after is answered.
+
+    Do: open it once, wait 2 s.
+    """
+    kinds = case.report.kinds
+    if ev.VAIN_SESSION not in kinds or kinds[ev.VAIN_SESSION] < VAIN_SESSIONS_MIN \
+            or ev.ANSWERED_SOON in kinds:
+        return
+    seen = 'the program opens the port for each question, and none asked at once is ' \
+        'answered'
+    if ev.ANSWERED_LATER in kinds:
+        yield Claim(f'{seen}, but one asked a second later: a board (Arduino, OpenRB) restarts as '
+                    'its port is opened; let the program open it once, wait 2 s, and keep it open',
+                    {'opened in vain': kinds[ev.VAIN_SESSION]}, is_certain=True)
+    elif not case.report.is_answered:
+        yield Doubt(f'{seen}: a board (Arduino, OpenRB) that restarts as its port is opened, or '
+                    'silent servos', step='let the program open it once, wait 2 s and ask: if '
+                    'that is answered, keep it open')
+
+
+@Rule(subject='bus', level=Level.ERROR,
+      accounts_for={'unsent instructions'})
+def port_lost(case: Case) -> Claims:
+    """
+    The driver hung up the program's port.
+
+    Do: check USB plug, cable, hub.
+    """
+    if ev.PORT_LOST not in case.incidents_by_kind:
+        return
+    for lost in case.incidents(ev.PORT_LOST)[-1:]:
+        error = _HUNG_UP.get(lost.detail.number, f'error {lost.detail.number}')
+        yield Claim(f'the port was lost while the program used it ({error}): check USB plug, '
+                    'cable, hub and its supply; let the program close the port and open it again',
+                    is_certain=True)
+
+
 @Rule(subject='bus', level=Level.ERROR,
       accounts_for={*SILENCE, *DAMAGE, 'silent bus', 'late answers', 'no acknowledgements',
                     'echo', 'unread bytes', 'wrong length', 'slow cycle'})
 def line_mode(case: Case) -> Claims:
     """
     Answers are missed or damaged; the program's port is in line mode (ICANON) or changes bytes.
-
-    Only strace sees that.
 
     Do: set the port to raw before the first question.
     """
@@ -197,13 +266,21 @@ def wrong_packets(case: Case) -> Claims:
 
     Do: correct the program.
     """
-    report, wrong = case.report, case.incidents(ev.WRONG_PACKET)
+    report = case.report
+    wrong = case.incidents(ev.WRONG_PACKET) if ev.WRONG_PACKET in case.incidents_by_kind else []
     sent = report.counters['Bytes']
     if (bad := repeated_bad_packet(case)) is not None:
         whom = '' if bad.id == BROADCAST else f' to {bad.id:03}'
         yield Claim(f'each {name_of(bad.instruction)}{whom} has the wrong {bad.field}, {bad.got}, '
                     f'right is {bad.right}: no servo takes it; correct the program',
                     {'noise (bytes)': report.counters['Noise Bytes']})
+    elif found := [one for one in case.cycles if one.instruction == Instruction.SYNC_WRITE
+                   and _counts_the_id(case, one)]:
+        size = found[0].length
+        yield Claim(f'Sync Write of {size} bytes a device names IDs that never answer, and of '
+                    f'{size - 1} bytes it has the same size: its length counts the ID too, so '
+                    'the values go to wrong devices; correct the program',
+                    {'IDs': all_ids(found[0].ids)}, level=Level.WARN)
     elif len(wrong) >= INCIDENTS_MIN:
         most = Counter((one.detail.instruction, one.device) for one in wrong)
         [((code, number), _)] = most.most_common(1)
@@ -223,6 +300,16 @@ def wrong_packets(case: Case) -> Claims:
             'packets begin with FF FF; send them as bytes, not as text'
         yield Claim(f'none of the {sent} bytes that the program sent is part of a packet that a '
                     f'servo takes: {what}', {'bytes': sent})
+
+
+def _counts_the_id(case: Case, cycle: Cycle) -> bool:
+    """Tell whether a Sync Write has IDs out of order, as values of the right length are there."""
+    ids, size = cycle.ids, cycle.length
+    if cycle.asked < INCIDENTS_MIN or size < 2 or len(ids) % size or [*ids] == sorted(ids):
+        return False
+    heard = [number in case.by_id and case.by_id[number].last_heard_s is not None
+             for number in ids]
+    return heard[0] and 2 * sum(heard) < len(ids)
 
 
 @Rule(subject='bus')
@@ -529,13 +616,14 @@ def master_stopped(case: Case) -> Claims:
     """
     No more instructions after 2.5 s of them or more.
 
-    An advice below 10 s, unless its last question got no answer; device states date from then.
+    An advice below 10 s, unless its last question got no answer.
 
     Do: check the program and its cable.
     """
     report = case.report
     if case.quiet_s < STOPPED_MIN_S or (report.last_byte_s or 0.0) < STOPPED_MIN_S \
-            or report.stamp - report.deaf < STOPPED_MIN_S * NS_PER_S:
+            or report.stamp - report.deaf < STOPPED_MIN_S * NS_PER_S \
+            or ev.PORT_LOST in report.kinds:
         return                                 # a closed port hears no master
     since = (report.asked - case.run_from) / NS_PER_S
     if since < WORKED_MIN_S:
@@ -648,10 +736,12 @@ def no_acks(case: Case, device: DeviceReport) -> Found | None:
         return None                            # it does again: some were lost
     if not (has_ended or unanswered or device.status_return_level in (0, 1)):
         return None
-    level = device.status_return_level
+    less = case.report.protocol == FEETECH.name        # its levels 0 and 1 are 1 and 2 of others
+    level = '' if device.status_return_level is None else f'{device.status_return_level - less}'
     return Claim('does not acknowledge writes (Status Return Level '
-                 f"{level or 'below 2'}): a master that waits for it loses a time-out each time; "
-                 f"use Sync Write or level 2{'; if it has that, check its plugs' * has_ended}",
+                 f"{level or f'below {2 - less}'}): a master that waits for it loses a time-out "
+                 f'each time; use Sync Write or level {2 - less}'
+                 f"{'; if it has that, check its plugs' * has_ended}",
                  level=Level.WARN if has_ended else None, is_certain=has_ended,
                  rests_on=() if has_ended or unanswered else (ANSWER,))
 
@@ -818,7 +908,7 @@ def _may_come_late(case: Case, device: DeviceReport) -> bool:
         or any(case.count(kind) for kind in (ev.STALE, ev.UNASKED, ev.THROWN_AWAY, ev.LATE))
 
 
-RULES = (rate_refused, line_mode, unread_answers, wrong_packets, eeprom_locked, wrong_address,
-    goal_limits, refused, impossible_id, master_stopped, scan, models, eeprom_wear,
-    fast_read_unsupported, sync_read_unsupported, group_read_unanswered, unstuffed, no_acks,
-    never_written)
+RULES = (rate_refused, port_lost, port_reopened, line_mode, unread_answers, wrong_packets,
+    eeprom_locked, wrong_address, goal_limits, refused, impossible_id, master_stopped, scan,
+    models, eeprom_wear, fast_read_unsupported, sync_read_unsupported, group_read_unanswered,
+    unstuffed, no_acks, never_written)

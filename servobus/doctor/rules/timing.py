@@ -103,7 +103,8 @@ SLOW_ANSWER_MS = 0.4               # reply latency: Return Delay Time from the f
 @Rule(subject='bus', level=Level.ERROR, onset_s=1.0,
       symptoms={'two rhythms'},
       accounts_for={*DAMAGE, 'hasty instructions', 'late answers', 'second answers',
-                    'unasked answers', 'damaged first bytes', 'absence of several'})
+                    'unasked answers', 'damaged first bytes', 'absence of several',
+                    'wrong length'})
 def two_masters(case: Case) -> Claims:
     """
     Two independent rhythms of instructions.

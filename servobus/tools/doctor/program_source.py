@@ -25,6 +25,7 @@ from typing import NamedTuple
 from msg_defs.diagnostics import Level
 from msg_defs.event import Chunk
 from msg_defs.event import CLOSED
+from msg_defs.event import GAVE_UP
 from msg_defs.event import IN
 from servobus.bus.report import FAILED
 from servobus.bus.report import OWN
@@ -35,6 +36,7 @@ from servobus.bus.report import STOLE_REPLIES
 from servobus.plain import printable
 from servobus.port.port_users import holders
 from servobus.port.port_users import is_running
+from servobus.port.port_users import is_started_by
 from servobus.sources.capture import Wire
 from servobus.sources.source import Chunks
 from servobus.sources.source import Source
@@ -55,6 +57,8 @@ CRASHES = {getattr(signal, f'SIG{name}', None) for name in (
     'ILL', 'TRAP', 'ABRT', 'BUS', 'FPE', 'SEGV', 'SYS')}
 OVERLAPS_MIN = 3                   # two that read at once: at its end a program may do so once
 TURNS_OF_TWO = 4                   # between two who ask: a parent that hands on has fewer
+USERS_EVERY_S = 0.5                # at most, and more rarely in a long run: a look takes 0.03 s
+USERS_EVERY_SHARE = 0.1            # share of the time since the start
 LEFT_AFTER_S = 0.5                 # a process that still runs then has closed our connection
 _LEFT = ('the program closed the connection of the tap after {:.1f} s; what it sent and received '
          f'since then was not heard: write --by {STRACE} in front of --')
@@ -178,8 +182,7 @@ class Program(Source):
         self._openings = Openings()
         self._missed: tuple[str, ...] = ()
         self._began_s = time.monotonic()
-        self._add_users([
-            word for word in command if os.path.exists(word) and Path(word).is_char_device()])
+        self._users_due_s = 0.0                # when to look again who has a port open
         self._reader = TapReader(name)
         try:
             self._started = StartedProgram(tool, name, command, by, output)
@@ -187,6 +190,8 @@ class Program(Source):
             self._reader.close()
             raise
         self._child = self._started.child
+        self._add_users([
+            word for word in command if os.path.exists(word) and Path(word).is_char_device()])
         signal.signal(signal.SIGINT, self._remember_stop)  # the terminal sends it to the child too
 
     def _remember_stop(self, *_: object) -> None:
@@ -221,7 +226,10 @@ class Program(Source):
         for port in ports:
             found = self._others.setdefault(ntpath.basename(port), [])
             found += [one.name for one in holders(port)
-                      if not one.is_maker and one.name not in found]
+                      if not one.is_maker and one.name not in found
+                      and not is_started_by(one.process, self._child.pid)]
+        now_s = time.monotonic()
+        self._users_due_s = now_s + max(USERS_EVERY_S, USERS_EVERY_SHARE * (now_s - self._began_s))
 
     @property
     def users(self) -> dict[str, list[str]]:
@@ -257,6 +265,8 @@ class Program(Source):
             self._openings.is_robbed |= _ROBBED in self._ending.error
         if record.kind == OPENED and record.port not in self.ports:
             self.ports.append(record.port)
+        if record.kind == GAVE_UP and time.monotonic() >= self._users_due_s:
+            self._add_users([record.port])     # another may have read what it waited for
         bus = ntpath.basename(record.port)           # works for both kinds of path
         self._openings.count_record(bus, record)
         return record.chunk(bus) if record.side or (record.change and bus) else None

@@ -1,0 +1,37 @@
+# Copyright 2026 The mecarover_serial authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a program asks from one opening of its port to the next, and whether that is answered."""
+
+from servobus.bus import evidence as ev
+from servobus.bus.evidence import Evidence
+
+SOON_NS = 1_000_000_000            # after the opening: a board that it restarts is silent for more
+SHORT_NS = 1_500_000_000           # a session that may be over before such a board is ready
+QUESTION_MAX_BYTES = 20            # in a session: it asked once
+
+
+class PortSessions:
+    """The sessions of one bus; opened_ns: stamp of the opening, 0: the port is closed."""
+
+    def __init__(self, evidence: Evidence) -> None:
+        self._evidence = evidence
+        self.opened_ns = 0
+        self._sent = 0                         # bytes before it
+
+    def begin(self, stamp: int, sent: int) -> None:
+        """Note that the port is open; sent: bytes of the program so far."""
+        self.opened_ns, self._sent = stamp, sent
+
+    def end(self, stamp: int, sent: int, asked: int, answered: int) -> None:
+        """Note that the port is closed; asked, answered: stamps of the last of each."""
+        opened, self.opened_ns = self.opened_ns, 0
+        size = sent - self._sent
+        if not size or not opened:
+            return
+        if answered < opened:
+            if stamp - opened < SHORT_NS:
+                self._evidence.add_incident(stamp, ev.VAIN_SESSION, ev.NO_DEVICE)
+        elif size <= QUESTION_MAX_BYTES and asked - opened >= SOON_NS:
+            self._evidence.add_incident(stamp, ev.ANSWERED_LATER, ev.NO_DEVICE)
+        else:
+            self._evidence.counts[ev.ANSWERED_SOON] += 1
