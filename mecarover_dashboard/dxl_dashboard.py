@@ -45,7 +45,7 @@ def _run(arguments: list[str]) -> int:
                          f'recording, or write {NAME} {RUN} -- python my_script.py')
     if not command and len(options.source) == 1 and os.path.isfile(options.source[0]):
         options.history = options.history or serve.NONE    # its times are not of now
-    feed = Feed()
+    feed = Feed(is_for_page=True)
     run = make_run(NAME, options, command, feed)
     player = run if isinstance(run, RecordingRun) else None
     server = serve.open_server(options, run.words, player, feed)

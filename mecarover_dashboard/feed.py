@@ -55,17 +55,16 @@ class Feed:
     """
     Hands reports to `out(topic, statuses)`; used by one thread, but for what a page asks.
 
-    begin: the first stamp of a recording; has_new_signal: one is asked for that was not before.
+    begin: the first stamp of a recording; is_for_page: registers have a past there.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, is_for_page: bool = False) -> None:
+        self._is_for_page = is_for_page
         self.out: Callable[[str, Sequence[Status]], None] = lambda topic, statuses: None
         self._logs: list[tuple[FedBus, FindingLog]] = []
         self.begin: int | None = None
-        self.has_new_signal = False
         self._now = 0
         self._places: dict[str, tuple[str, int]] = {}           # bus and ID, by status
-        self._signals: set[tuple[str, int, str]] = set()        # bus, ID and key
         self._alarms = 0
         self._reported = self._timed = -math.inf     # on our clock
 
@@ -73,9 +72,8 @@ class Feed:
         """Report on one more bus from now on."""
         self._logs.append((bus, FindingLog()))
         self._reported = -math.inf
-        for label, number, key in list(self._signals):
-            if label == bus.monitor.name:
-                bus.monitor.signals.read(number, key, 0, 0.0)
+        if self._is_for_page:
+            bus.monitor.signals.start()
 
     def clear(self) -> None:
         """Forget all buses."""
@@ -125,15 +123,12 @@ class Feed:
         if name not in self._places:
             return None
         label, number = self._places[name]
-        self.has_new_signal |= (label, number, key) not in self._signals
-        self._signals.add((label, number, key))
         return next((one.read(number, key, after, self._now / 1e9 - SPAN_S)
                      for one in self._signals_of(label)), None)
 
     def drop(self, name: str, key: str) -> None:
-        """Record a register no more; from any thread."""
+        """Keep the points of a register no more; from any thread."""
         label, number = self._places.get(name, ('', -1))
-        self._signals.discard((label, number, key))
         for one in self._signals_of(label):
             one.drop(number, key)
 

@@ -101,12 +101,8 @@ class RecordingRun(SourceRun):
         while True:
             now_s = time.monotonic()
             wanted_s, self._wanted_s = self._wanted_s, None
-            is_new, self._feed.has_new_signal = self._feed.has_new_signal, False
-            if is_new:                              # what was played already has it, too
-                self._again(self._now)
             if wanted_s is not None:
                 self._go(self._first + int(wanted_s * S))
-            if is_new or wanted_s is not None:
                 now_s = time.monotonic()            # that took some time
             elif self._is_on:
                 self._forward(END if self._at_once else self._now + int((now_s - last_s) * S))

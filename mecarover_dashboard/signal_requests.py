@@ -18,6 +18,7 @@ from typing import Protocol
 from aiohttp import web
 
 from mecarover_dashboard import rows
+from mecarover_dashboard.cdr import AnyStatus
 from mecarover_dashboard.state import State
 from msg_defs.signal import POINT
 from msg_defs.signal import PointRing
@@ -26,6 +27,8 @@ from msg_defs.signal import SPAN_S
 
 MOST = 8                        # registers of a page
 MOST_OF_ALL = 32                # ... of all pages: 32 MB
+SAMPLED_S = 0.9                 # least time between two samples of what no page shows
+SAMPLES_MAX = 4_000_000         # all registers over ROS: 64 MB
 _NOTHING = Points(0, False, b'')
 _Chosen = tuple[str, str]       # the name of a device's status, the key of a register
 
@@ -49,38 +52,55 @@ class ReportedSignals:
     """
 
     def __init__(self) -> None:
-        self._rings: dict[_Chosen, PointRing] = {}
-        self._seen: dict[_Chosen, tuple[float, float]] = {}     # when reported, when observed
+        self._sampled: dict[str, _SampledDevice] = {}
+        self._chosen: set[_Chosen] = set()
 
     def clock(self) -> tuple[float, float]:
         """Return now and what to add for Unix time."""
         return time.monotonic(), time.time() - time.monotonic()
 
-    def signal(self, name: str, key: str, after: int) -> Points:
-        """Return the points of the last minute."""
-        ring = self._rings.setdefault((name, key), PointRing())
-        return ring.after(after, time.monotonic() - SPAN_S)
+    def signal(self, name: str, key: str, after: int) -> Points | None:
+        """Return the points of the last minute, and take all of them from now on."""
+        self._chosen.add((name, key))
+        device = self._sampled.get(name)
+        ring = None if device is None else device.rings.get(key)
+        return None if ring is None else ring.after(after, time.monotonic() - SPAN_S)
 
     def drop(self, name: str, key: str) -> None:
-        """Record a register no more."""
-        self._rings.pop((name, key), None)
-        self._seen.pop((name, key), None)
+        """Go on with one a second."""
+        self._chosen.discard((name, key))
 
     def sample_state(self, state: State) -> None:
         """Take what was reported since."""
-        for (name, key), ring in self._rings.items():
-            arrived_s, seen_s = self._seen.get((name, key), (0.0, 0.0))
-            arrived_s, fields = state.fields_after(name, arrived_s)
-            for field in fields:
-                value = rows.finite(field.value)
-                value = rows.finite(field.raw) if value is None else value
-                at_s = field.seen or 0.0
-                if field.source == 'w' and at_s - seen_s < rows.JITTER_S:
+        found, chosen = state.whole(), {name for name, _ in self._chosen}
+        self._sampled = {name: self._sampled.get(name) or _SampledDevice() for name in found}
+        kept = SAMPLES_MAX // (1 + sum(len(one.rings) for one in self._sampled.values()))
+        for name, (status, arrived_s) in found.items():
+            device = self._sampled[name]
+            if arrived_s - device.arrived_s > (0.0 if name in chosen else SAMPLED_S):
+                device.sample(status, arrived_s, kept)
+
+
+class _SampledDevice:
+    """The registers of a device."""
+
+    def __init__(self) -> None:
+        self.arrived_s = 0.0
+        self.rings: dict[str, PointRing] = {}
+
+    def sample(self, status: AnyStatus, arrived_s: float, kept: int) -> None:
+        """Take what was seen since the last time."""
+        before_s, self.arrived_s = self.arrived_s, arrived_s
+        for key, text, at_s, source in rows.samples(status, arrived_s):
+            ring = self.rings.get(key)
+            if ring is not None:
+                seen_s = ring.last_s()
+                if source == 'w' and at_s - seen_s < rows.JITTER_S:
                     at_s = arrived_s
-                if field.key == key and value is not None and at_s > seen_s:
-                    seen_s = at_s
-                    ring.add(seen_s, value)
-            self._seen[name, key] = arrived_s, seen_s
+                if at_s <= seen_s or at_s < before_s - rows.JITTER_S:       # it was there before
+                    continue
+            if (value := rows.finite(text)) is not None:
+                self.rings.setdefault(key, PointRing()).add(at_s, value, kept)
 
 
 class SignalRequests:

@@ -251,12 +251,10 @@ class State:
         self._tables[name] = (entry.whole, table)
         return table
 
-    def fields_after(self, name: str, after_s: float) -> tuple[float, list[rows.FieldRow]]:
-        """Return when a device was last reported whole; its registers, if that was later."""
-        entry = self._entries['devices'].get(name)
-        if entry is None or entry.whole is None or entry.whole_arrived <= after_s:
-            return after_s, []
-        return entry.whole_arrived, rows.table(entry.whole, entry.whole_arrived).fields
+    def whole(self) -> dict[str, tuple[AnyStatus, float]]:
+        """Return the last status with registers of each device, and when it came."""
+        return {name: (entry.whole, entry.whole_arrived)
+                for name, entry in self._entries['devices'].items() if entry.whole is not None}
 
     def reports(self, section: str) -> Iterator[RowReport]:
         """Return the rows of a section as they were reported last."""

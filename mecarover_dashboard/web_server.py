@@ -134,6 +134,7 @@ class Server:
         self._recording = recording
         self._player = player
         self._reported = ReportedSignals()
+        self._is_sampled = signals is None
         self._signals = SignalRequests(signals or self._reported)
         self._started_s = time.monotonic()
         self._publishers: dict[str, int] = {}
@@ -276,7 +277,8 @@ class Server:
                 state.store_message(topic, message, arrived_s)
         state.expire(now_s)
         self._signals.forget(now_s)
-        self._reported.sample_state(state)
+        if self._is_sampled:
+            self._reported.sample_state(state)
         if self._recording is not None:
             self._recording.sample_state(state, now_s, time.time())
         if state.version != before:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from math import inf
 from struct import Struct
 from typing import NamedTuple
 
@@ -32,14 +33,20 @@ class PointRing:
         self._first = 0
         self.is_written = False
 
-    def add(self, at_s: float, value: float) -> None:
+    def add(self, at_s: float, value: float, kept: int = KEPT) -> None:
+        """Add a point, and forget what is older than a minute, or more than what is kept."""
         data = self._data
         if not data:
             self._first = int(max(0.0, at_s) * 1e6)
         data += POINT.pack(at_s, value)
-        if len(data) > KEPT * POINT.size:
+        while len(data) > kept * POINT.size or at_s - POINT.unpack_from(data)[0] > SPAN_S:
             del data[:POINT.size]
             self._first += 1
+
+    def last_s(self) -> float:
+        """Return the time of the last point, -inf where there is none."""
+        return POINT.unpack_from(self._data, len(self._data) - POINT.size)[0] if self._data \
+            else -inf
 
     def after(self, number: int, since_s: float) -> Points:
         """Return the points from a number on, else all; none from before since_s."""

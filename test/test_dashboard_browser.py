@@ -3,12 +3,14 @@
 """The dashboard in a real browser: every view, in four sizes, and what may go wrong around it."""
 from contextlib import closing
 from contextlib import contextmanager
+from itertools import pairwise
 from itertools import product
 import math
 import re
 import time
 from types import SimpleNamespace
 from urllib.parse import parse_qs
+from urllib.parse import urlencode
 
 import dashboard_page
 from dashboard_page import Dashboard
@@ -381,7 +383,7 @@ def test_signals_at_the_rate_of_the_bus(open_page):
         page.get_by_label('Register', exact=True).locator('option').first.wait_for(
             state='attached')
         for _ in source.rings:
-            page.get_by_role('button', name='Add').click()
+            page.get_by_role('button', name='Add', exact=True).click()
         see(page, '.legend', 'Present Position[^/]* rad\\s*50 /s, -1 to 1')
         see(page, '.legend', 'Goal Position.*0.99 rad')
         assert page.locator('.signals canvas').count() == 1         # over each other
@@ -427,12 +429,139 @@ def test_signals_at_the_rate_of_the_bus(open_page):
         page.context.close()
 
 
+KNEE = 'dxl_monitor: 007 left_knee'
+PAIR = urlencode([pair for name in ('Present', 'Goal') for pair in (
+    ('of', KNEE), ('register', f'{name} Position (rad)'))])
+
+
+def test_a_link_shows_the_same_difference_time_and_cursors(open_page):
+    with Dashboard(signals=Source()) as dashboard, Feed(dashboard):
+        address = f'{dashboard.address}#/signals?{PAIR}&minus=0.1&span=60'
+        page = open_page(f'{address}&from=1700000960&to=1700000970&mark=1700000962'
+                         '&cursor=1700000965')
+        for _ in range(2):
+            see(page, '.legend', r'Present Position.* \u0394 .* in 3 s.* of 501')
+            see(page, '.legend', r'007 left_knee Present Position \u2212 Goal Position'
+                                 rf'{math.sin(25) - 0.95:.4}.*\u0394 .* in 3 s.* of 501')
+            see(page, '.signals [aria-pressed=true]', 'Paused')
+            page.reload()                       # the past is asked for again, and the time is kept
+        page.locator('.signals canvas').first.hover(position={'x': 700, 'y': 50})
+        page.mouse.wheel(0, -100)
+        wait(lambda: 'from=1700000960.000' not in page.evaluate('location.href'))
+        page.get_by_label('Difference', exact=True).select_option(index=1)     # again: removed
+        see(page, '.signals [aria-label=Difference]', r'\u2026007 left_knee Present')
+        assert page.locator('.signals canvas').count() == 1
+        assert 'minus' not in page.evaluate('location.href')
+        page.get_by_role('button', name='60 s').click()
+        assert 'from=' not in page.evaluate('location.href')
+        page.goto('about:blank')
+        page.goto(f'{address}&from=1600000000&to=1600000001')
+        see(page, '.signals [role=status]', 'The time of this link is over')
+        see(page, '.signals [aria-pressed=true]', '60 s')
+        page.context.close()
+
+
+def test_registers_of_several_servos_in_few_steps(page):
+    """The register stays when the servo changes; one button adds it for all of a model."""
+    show(page, 'signals')
+    register = page.get_by_label('Register', exact=True)
+    register.select_option('Present Temperature (\u00b0C)')
+    page.get_by_role('button', name='Add', exact=True).click()
+    page.get_by_label('Device', exact=True).select_option(index=1)
+    page.get_by_role('button', name='Add', exact=True).click()
+    see(page, '.legend', '002[^/]* Present Temperature')
+    register.select_option('Present Input Voltage (V)')
+    page.get_by_role('button', name='Add for all').click()
+    wait(lambda: page.locator('.legend li', has_text='Present Input Voltage').count() == 5)
+    assert page.get_by_role('button', name='Add for all').is_disabled()        # 8 registers
+
+
+def test_a_mark_and_another_time_without_a_mouse(open_page):
+    with Dashboard(signals=Source()) as dashboard, Feed(dashboard):
+        page = open_page(f'{dashboard.address}#/signals?{PAIR}&span=60', 'phone')
+        see(page, '.legend', 'Present Position')
+        plot = page.locator('.signals canvas')
+        plot.tap(position={'x': 200, 'y': 50})
+        page.get_by_role('button', name='Mark').tap()
+        plot.tap(position={'x': 240, 'y': 50})
+        see(page, '.legend', r'Present Position.* \u0394 .* in [\d.]+ s')
+        plot.focus()
+        for key in ('+', '+', 'Shift+ArrowLeft'):
+            before = page.evaluate('location.href')
+            page.keyboard.press(key)
+            wait(lambda before=before: page.evaluate('location.href') != before)
+        from_s, to_s = (float(re.search(rf'{name}=([\d.]+)', page.evaluate('location.href'))[1])
+                        for name in ('from', 'to'))
+        assert to_s - from_s == pytest.approx(60 / 1.25 ** 2, abs=0.01)
+        box, touch = plot.bounding_box(), page.context.new_cdp_session(page)
+        for kind, x in (('touchStart', 150), ('touchMove', 175), ('touchMove', 200),
+                        ('touchEnd', None)):
+            touch.send('Input.dispatchTouchEvent', {'type': kind, 'touchPoints': [] if x is None
+                       else [{'x': box['x'] + x, 'y': box['y'] + 40}]})
+        wait(lambda: f'from={from_s:.3f}' not in page.evaluate('location.href'))
+        moved_s = float(re.search(r'from=([\d.]+)', page.evaluate('location.href'))[1])
+        assert moved_s < from_s - 1
+        page.context.close()
+
+
 def test_signals_over_ros_are_samples(page):
     show(page, 'signals')
-    see(page, '.signals [role=status]', 'Each dot is a sample')
+    see(page, '.signals [role=status]', r'^\d Hz samples from dxl/diagnostics')
     page.get_by_label('Register', exact=True).select_option('Goal Position (rad)')
-    page.get_by_role('button', name='Add').click()
+    page.get_by_role('button', name='Add', exact=True).click()
     see(page, '.legend', 'Goal Position[^/]*rad\\s*[\\d.]+ samples/s')
+    read, steps = page.evaluate("""async () => {
+        const {drawPlot, readAt} = await import('./draw.js');
+        const points = [[0, 1, 1, 1], [1, 3, 3, 3], [2, 2, 2, 2]];
+        const drawn = [];
+        const {lineTo} = CanvasRenderingContext2D.prototype;
+        CanvasRenderingContext2D.prototype.lineTo = function (x, y) {
+            if (this.globalAlpha < 1) drawn.push([x, y]);
+            lineTo.call(this, x, y);
+        };
+        drawPlot(document.querySelector('.signals canvas'), [{points, isSampled: true}],
+            {from: 0, to: 2, cursor: null, mark: null, gap: Infinity, now: 2});
+        CanvasRenderingContext2D.prototype.lineTo = lineTo;
+        return [readAt(points, 0.5, 0.01, Infinity, true), drawn];
+    }""")
+    assert read == {'low': 1, 'high': 1, 'at': 0}
+    assert all(x == before[0] or y == before[1]
+               for before, (x, y) in pairwise(steps))
+    assert len({x for x, _ in steps}) == 2
+
+
+def test_a_difference_is_taken_where_both_are_known(page):
+    """At the times of what was read; the other is the nearest one, or what was written last."""
+    found = page.evaluate("""async () => {
+        const {Difference, Signal} = await import('./signal.js');
+        const signal = (isWritten, ...points) => {
+            const made = new Signal('', '');
+            made.take(isWritten, 0, Float64Array.from(points.flat()));
+            made.gap = 1;
+            return made;
+        };
+        const minus = (one, other) => {
+            const made = new Difference(one, other);
+            made.update();
+            const pairs = [];
+            for (let at = made.begin; at < made.end; at += 2) {
+                pairs.push([made.data[at], Number.isNaN(made.data[at + 1]) ? null
+                    : made.data[at + 1]]);
+            }
+            return [made.isWritten, pairs];
+        };
+        const read = signal(false, [0, 10], [1, 20], [2, 30], [9, 40]);
+        const other = signal(false, [0.1, 1], [0.9, 2], [2.6, 3]);
+        const goal = signal(true, [0.5, 100], [1.5, 200]);
+        return [minus(read, other), minus(read, goal), minus(goal, read),
+            minus(goal, signal(true, [1, 50])), minus(read, signal(false))];
+    }""")
+    assert found == [
+        [False, [[0, 9], [1, 18], [2, 27], [9, None]]],
+        [False, [[0, None], [1, -80], [2, -170], [9, -160]]],
+        [False, [[0, None], [1, 80], [2, 170], [9, 160]]],
+        [True, [[0.5, None], [1, 50], [1.5, 150]]],
+        [False, [[0, None], [1, None], [2, None], [9, None]]]]
 
 
 def test_a_plot_has_the_lowest_and_highest_of_each_column(page):

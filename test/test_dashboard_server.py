@@ -20,7 +20,7 @@ from harness import wait
 import pytest
 from synthetic_robot import SyntheticRobot
 
-from mecarover_dashboard.rows import FieldRow
+from mecarover_dashboard.cdr import HandedStatus
 from mecarover_dashboard.signal_requests import ReportedSignals
 from mecarover_dashboard.web_server import is_ours
 from rigs.tables import rows_of
@@ -383,14 +383,13 @@ def test_over_ros_a_signal_has_a_point_for_each_report(dashboard):
     """At the time when it was read."""
     robot = SyntheticRobot()
     path = asked(**{POSITION: 0, GOAL: 0, 'Nothing': 0})
-    signals(dashboard, 3, path)
-    dashboard.take(robot.messages(100.5))
-    wait(lambda: signals(dashboard, 3, path)[1][0][2])
+    dashboard.take(robot.messages(100.5))           # before anybody asks
+    wait(lambda: dashboard.server._reported._sampled)
     begun_s = time.monotonic()
     dashboard.take(robot.messages(101.0))
     wait(lambda: len(signals(dashboard, 3, path)[1][0][2]) == 2)
     (now_s, origin_s), ((kind, first, points), (goal, *_), nothing) = signals(dashboard, 3, path)
-    assert (kind, goal, nothing[0], nothing[2]) == (1, 1, 1, [])    # samples, none is held
+    assert (kind, goal, nothing[0], nothing[2]) == (1, 1, 0, [])    # samples, none is held
     assert begun_s - 1 < points[1][0] < now_s
     assert abs(now_s + origin_s - time.time()) < 1
     shown = SyntheticRobot().messages(101.0)
@@ -399,30 +398,36 @@ def test_over_ros_a_signal_has_a_point_for_each_report(dashboard):
     assert (later, rest) == (first + 1, points[1:])
 
 
+def sampled(*reports, is_chosen=True):
+    """Return the points of a register that is reported as (arrived, seen, value, source)."""
+    signals = ReportedSignals()
+    if is_chosen:
+        signals.signal('servo', POSITION, 0)
+    for arrived_s, seen_s, value, source in reports:
+        status = HandedStatus(0, 'servo', '', '', [
+            ('Model', ''), ('Firmware Version', ''), ('State', ''),
+            ('observed', json.dumps({'Present Position': [arrived_s - seen_s, source]})),
+            (POSITION, value)])
+        signals.sample_state(SimpleNamespace(whole=lambda now={'servo': (status, arrived_s)}: now))
+    points = signals._sampled['servo'].rings[POSITION].after(0, 0.0)
+    assert not points.is_written                # what was written in between is not known
+    return [(pytest.approx(at_s), value) for at_s, value in
+            struct.iter_unpack('<dd', points.data)]
+
+
 def test_what_was_not_read_again_is_no_new_point():
-    signals, rows = ReportedSignals(), [FieldRow(POSITION, '0.5', '', 9.0, 'r')]
-    signals.signal('servo', POSITION, 0)
-    for arrived_s in (10.0, 11.0):
-        signals.sample_state(SimpleNamespace(
-            fields_after=lambda name, after_s, at=arrived_s: (at, rows)))
-    rows[0] = rows[0]._replace(seen=11.5)
-    signals.sample_state(SimpleNamespace(fields_after=lambda name, after_s: (12.0, rows)))
-    assert list(struct.iter_unpack('<dd', signals._rings['servo', POSITION].after(0, 0.0).data)) \
-        == [(9.0, 0.5), (11.5, 0.5)]
+    reports = [(10.0, 9.0, '0.5', 'r'), (11.0, 9.001, '0.5', 'r'), (12.0, 11.5, '0.5', 'r')]
+    assert sampled(*reports) == [(9.0, 0.5), (11.5, 0.5)]
+
+
+def test_what_no_page_shows_is_sampled_once_a_second():
+    reports = [(10 + nth / 10, 10 + nth / 10 - 0.01, '0.5', 'r') for nth in range(21)]
+    assert [len(sampled(*reports, is_chosen=one)) for one in (True, False)] == [21, 3]
 
 
 def test_a_goal_is_sampled_and_holds_while_it_is_not_written_again():
-    signals = ReportedSignals()
-    signals.signal('servo', POSITION, 0)
-    for arrived_s, seen_s, value in (
-            (10.0, 9.99, '0.5'), (10.5, 10.49, '0.9'), (11.0, 10.5, '0.9'), (11.5, 10.48, '0.9'),
-            (12.0, 11.9, '0.1')):
-        rows = [FieldRow(POSITION, value, '', seen_s, 'w')]
-        signals.sample_state(SimpleNamespace(
-            fields_after=lambda *_, at=arrived_s, rows=rows: (at, rows)))
-    points = signals._rings['servo', POSITION].after(0, 0.0)
-    assert not points.is_written                # what was written in between is not known
-    assert list(struct.iter_unpack('<dd', points.data)) == [
+    assert sampled((10.0, 9.99, '0.5', 'w'), (10.5, 10.49, '0.9', 'w'), (11.0, 10.5, '0.9', 'w'),
+                   (11.5, 10.48, '0.9', 'w'), (12.0, 11.9, '0.1', 'w')) == [
         (9.99, 0.5), (10.49, 0.9), (11.0, 0.9), (11.5, 0.9), (11.9, 0.1)]
 
 
@@ -448,4 +453,4 @@ def test_signals_of_all_pages_are_bounded_and_end_after_the_last_page(dashboard,
     assert (response.status, b'32 registers; close one' in body) == (503, True)
     monkeypatch.setattr('mecarover_dashboard.signal_requests.SPAN_S', 0.3)
     wait(lambda: ask(dashboard, asked(One_more=0))[0].status == 200)
-    wait(lambda: not dashboard.server._reported._rings)
+    wait(lambda: not dashboard.server._reported._chosen)

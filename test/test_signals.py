@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""Chosen registers at the rate of the bus: what is recorded is what was sent; it is bounded."""
+"""Registers at the rate of the bus: what is recorded is what was sent; it is bounded."""
 from random import Random
 import struct
 
@@ -31,8 +31,10 @@ FRONT, SIZE = FIELD[REGISTERS[0]].at, 21            # one Sync Read has all four
 
 
 def bus_of(*numbers):
-    return Monitor('arm', MODELS, Settings(devices=tuple(
+    monitor = Monitor('arm', MODELS, Settings(devices=tuple(
         Expected(number, 'XM430-W350', '') for number in numbers)))
+    monitor.signals.start()
+    return monitor
 
 
 def points(monitor, number, key, after=0, since_s=0.0):
@@ -100,14 +102,47 @@ def test_points_are_what_was_sent(servos, rate, seconds, chosen):
     assert check_what_is_recorded(list(servos), rate, seconds, chosen) > 0
 
 
-def test_a_page_that_comes_later_gets_what_the_last_minute_has():
-    monitor = bus_of(1)
-    points(monitor, 1, PRESENT)
-    for _ in fed({}, monitor, [1], 10, 100):
+def test_a_register_that_is_chosen_now_has_the_last_minute():
+    monitor, sent = bus_of(1, 2), {}
+    for _ in fed(sent, monitor, [1, 2], 10, 200):
         pass
-    last_s = 1 + 99.9
-    late = points(monitor, 1, PRESENT, 0, last_s - 59.95)
-    assert (late[0][0], late[-1][0], len(late)) == (pytest.approx(41.0), last_s, 600)
+    last_s = 1 + 199.9
+    for key in REGISTERS:
+        late = points(monitor, 2, key, 0, last_s - 59.95)
+        assert late == [(at_s, value(key, data)) for at_s, data in sent[2][-600:]]
+    kept = sum(len(log.data) for one in monitor.signals._recorders.values()
+               for log in one.logs.values())
+    assert kept < 2 * 2 * 600 * (8 + SIZE)
+
+
+def test_all_spans_together_are_bounded(monkeypatch):
+    monkeypatch.setattr('servobus.signals.BYTES_MAX', 100_000)
+    monkeypatch.setattr('servobus.signals.LOGS_MAX', 32)
+    monitor = bus_of(1, 2)
+    for cycle in range(20_000):                     # a minute has more than there is room for
+        hear(monitor, read(1), reply(1, bytes(4)), at_s=cycle / 1000)
+    for address in range(600):                      # and no span comes twice
+        hear(monitor, read(2, address, 4), reply(2, bytes(4)), at_s=21 + address / 100)
+    logs = [log for one in monitor.signals._recorders.values() for log in one.logs.values()]
+    assert sum(log.limit for log in logs) < 150_000
+    assert max(len(one.logs) for one in monitor.signals._recorders.values()) == 32
+    late = points(monitor, 1, PRESENT)
+    assert len(late) > 2000
+    assert late[-1][0] == pytest.approx(20.0)
+
+
+def test_the_past_begins_where_registers_began_to_mean_what_they_do():
+    monitor = bus_of(1)
+    data = FIELD['Indirect Data 1'].at
+    for begin_s, target in ((1.0, POSITION), (3.0, FIELD['Present Current (A)'].at)):
+        hear(monitor, point_at(1, *range(target, target + 4)), reply(1), at_s=begin_s)
+        for nth in range(5):
+            hear(monitor, read(1, data, 4), reply(1, struct.pack('<i', 3072)),
+                 at_s=begin_s + nth / 10 + 0.1)
+            hear(monitor, read(1, FIELD['Indirect Address 1'].at, 2),       # as it was written
+                 reply(1, words(target)), at_s=begin_s + nth / 10 + 0.15)
+    assert points(monitor, 1, PRESENT) == []
+    assert len(points(monitor, 1, 'Present Current (A)')) == 5
 
 
 def test_memory_is_bounded_and_numbers_go_on():
@@ -124,7 +159,6 @@ def test_memory_is_bounded_and_numbers_go_on():
 
 def test_goals_are_recorded_as_written_unless_refused():
     monitor = bus_of(1)
-    assert monitor.signals.read(1, SET, 0, 0.0).data == b''
     goal = encode(1, I.WRITE, words(GOAL) + struct.pack('<i', 3072))
     hear(monitor, goal, reply(1), at_s=1.0)
     hear(monitor, goal, reply(1, error=4), at_s=2.0)    # out of range
@@ -160,33 +194,37 @@ def test_a_register_in_indirect_data_follows_where_that_points():
 
 
 def test_a_device_is_recorded_from_its_first_byte_and_as_what_it_is():
-    """It comes later than the choice; and what its registers are is known later still."""
+    """What its registers are is known later; its past goes with it to another ID."""
     monitor = Monitor('arm', MODELS)
-    for key in (PRESENT, 'Present Temperature (\u00b0C)'):
-        points(monitor, 1, key)
+    monitor.signals.start()
+    assert monitor.signals.read(1, PRESENT, 0, 0.0) is None
+    hear(monitor, read(1), reply(1, struct.pack('<i', 1024)), at_s=0.1)
     hear(monitor, encode(1, I.PING), reply(1, words(1020) + b'\x2d'), at_s=0.5)
     hear(monitor, read(1), reply(1, struct.pack('<i', 3072)), at_s=1.0)
-    assert [at_s for at_s, _ in points(monitor, 1, PRESENT)] == [pytest.approx(1.001)]
+    times = [pytest.approx(0.101), pytest.approx(1.001)]
+    assert [at_s for at_s, _ in points(monitor, 1, PRESENT)] == times
     hear(monitor, encode(1, I.WRITE, words(7) + b'\2'), reply(2), at_s=2.0)        # another ID
     hear(monitor, read(2), reply(2, struct.pack('<i', 1024)), at_s=3.0)
-    assert len(points(monitor, 1, PRESENT)) == 1
-    assert points(monitor, 2, PRESENT) == []
-    hear(monitor, read(2), reply(2, struct.pack('<i', 1024)), at_s=4.0)
-    assert [at_s for at_s, _ in points(monitor, 2, PRESENT)] == [pytest.approx(4.001)]
+    assert monitor.signals.read(1, PRESENT, 0, 0.0) is None
+    assert [at_s for at_s, _ in points(monitor, 2, PRESENT)] == [*times, pytest.approx(3.001)]
 
 
-def test_what_is_not_chosen_costs_nothing():
-    monitor = bus_of(1, 2)
+def test_another_model_at_an_id_has_no_past():
+    monitor = bus_of(1)
+    hear(monitor, read(1), reply(1, struct.pack('<i', 1024)), at_s=1.0)
+    hear(monitor, encode(1, I.PING), reply(1, words(1060) + b'\x2d'), at_s=2.0)
+    hear(monitor, read(1), reply(1, struct.pack('<i', 1024)), at_s=3.0)
+    assert [at_s for at_s, _ in points(monitor, 1, PRESENT)] == [pytest.approx(3.001)]
+
+
+def test_nothing_is_kept_where_no_page_is():
+    monitor = Monitor('arm', MODELS)
+    hear(monitor, read(1), reply(1, bytes(4)), at_s=1.0)
     table = monitor.decoder.registry.devices[1].table
     assert type(table._latest) is dict
-    for key in (PRESENT, SET):
-        points(monitor, 1, key)
+    assert monitor.signals.read(1, PRESENT, 0, 0.0) is None
+    monitor.signals.start()
     assert type(table._latest) is not dict
-    assert type(monitor.decoder.registry.devices[2].table._latest) is dict
-    monitor.signals.drop(1, SET)
-    hear(monitor, read(1), reply(1, bytes(4)), at_s=1.0)
-    assert len(points(monitor, 1, PRESENT)) == 1
+    points(monitor, 1, PRESENT)
     monitor.signals.drop(1, PRESENT)
-    assert type(table._latest) is dict
-    hear(monitor, read(1), reply(1, bytes(4)), at_s=2.0)
-    assert points(monitor, 1, PRESENT) == []
+    assert monitor.signals._recorder(1).rings == {}

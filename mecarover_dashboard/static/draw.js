@@ -46,7 +46,7 @@ export function drawPlot(canvas, shown, view) {
     : drawLine(pen, one.points, at,
       {colour: colours.lines[index % 4], dash: DASHES[index % 4],
         hasDots: one.hasDots && (one.isSampled || isSparse(one.points, at)),
-        isFaint: one.isSampled}, view));
+        isSampled: one.isSampled}, view));
   pen.restore();
   if (view.drag) drawDrag(pen, area, at, view.drag, colours);
   if (view.mark !== null) drawUpright(pen, area, at.x(view.mark), colours, LIMIT_DASH);
@@ -75,7 +75,7 @@ function coloursOf(canvas) {
  * null: nothing. Between two points it is on the line between them: no value that was measured.
  * Of a band (`step`) it is what the step of that time has.
  */
-export function readAt(points, s, near, gap = GAP_S, step = 0) {
+export function readAt(points, s, near, {gap = GAP_S, step = 0, isSampled = false} = {}) {
   const after = s === null ? points.length : points.findIndex((point) => point[0] >= s);
   const [left, right] = [points.at(after < 0 ? -1 : after - 1), points[after]];
   const isLeft = after !== 0 && left && left[1] !== null;
@@ -84,6 +84,7 @@ export function readAt(points, s, near, gap = GAP_S, step = 0) {
   const isRight = right && right[1] !== null;
   if (isRight && right[0] - s <= near) return at(right);
   if (isLeft && s - left[0] <= near) return at(left);
+  if (isSampled && isLeft) return at(left);
   if (isLeft && isRight && right[0] - left[0] < gap) {
     const from = left[2] ?? left[1];
     const value = from + (right[1] - from) * (s - left[0]) / (right[0] - left[0]);
@@ -193,15 +194,15 @@ function drawLimit(pen, area, at, text, value, ticks, colours) {
   pen.fillText(text, area.left + 4, y - 4 < 12 ? y + 12 : y - 4);
 }
 
-function drawLine(pen, points, at, {colour, dash, hasDots, isFaint}, view) {
+function drawLine(pen, points, at, {colour, dash, hasDots, isSampled}, view) {
   const {now, to, isLive, unix, gap = GAP_S} = view;
   pen.strokeStyle = pen.fillStyle = colour;
   const isDense = points.length > DENSE;
   pen.lineWidth = isDense ? 1 : 1.6;
   pen.lineJoin = isDense ? 'bevel' : 'round';
   pen.setLineDash(isDense ? [] : dash);
-  pen.globalAlpha = isFaint ? 0.4 : 1;         // between samples nothing was measured
-  const before = strokeLine(pen, points, at, gap);
+  pen.globalAlpha = isSampled ? 0.4 : 1;       // between samples nothing was measured
+  const before = strokeLine(pen, points, at, gap, isSampled);
   pen.globalAlpha = 1;
   const isHeld = before && isLive && !unix && now - before[0] > gap;
   if (isHeld) drawHeld(pen, at, before, Math.min(now, to));
@@ -239,14 +240,16 @@ function runsOf(points, step) {
   return runs;
 }
 
-/** Draw what is not interrupted; return the last point, null after a gap. */
-function strokeLine(pen, points, at, gap) {
+/** Draw what is not interrupted, samples as steps; return the last point, null after a gap. */
+function strokeLine(pen, points, at, gap, isSampled) {
   let before = null;
   pen.beginPath();
   for (const point of points) {
     if (point[1] !== null) {
       const x = at.x(point[0]);
-      if (before && point[0] - before[0] < gap) pen.lineTo(x, at.y(point[1]));
+      const isOn = before && point[0] - before[0] < gap;
+      if (isOn && isSampled) pen.lineTo(x, at.y(before[3] ?? before[1]));
+      if (isOn) pen.lineTo(x, at.y(point[1]));
       else pen.moveTo(x, at.y(point[1]));
       if (point[2] !== undefined && point[2] !== point[1]) pen.lineTo(x, at.y(point[2]));
     }
@@ -289,8 +292,8 @@ function drawUpright(pen, {top, height}, x, colours, dash = []) {
 
 function drawCursor(pen, area, at, shown, {cursor, gap, from, to}, colours) {
   drawUpright(pen, area, at.x(cursor), colours);
-  shown.forEach(({points, step}, index) => {
-    const found = readAt(points, cursor, nearOf(area, from, to), gap, step);
+  shown.forEach(({points, step, isSampled}, index) => {
+    const found = readAt(points, cursor, nearOf(area, from, to), {gap, step, isSampled});
     if (!found) return;
     pen.fillStyle = colours.lines[index % 4];
     for (const value of step ? [found.low, found.high] : [found.high]) {

@@ -21,6 +21,7 @@ export class Plot {
   #cursor = null;              // s before the right edge
   #mark = null;                // s: from where differences to the cursor are counted
   #drag = null;                // where it began, px
+  #held = null;                // where a finger holds the time shown, px
   #zoom = null;                // [from, to] in s; null: up to now
   #drawn = '';
   #drawnAt = -Infinity;        // s of the page
@@ -47,15 +48,19 @@ export class Plot {
     const on = (name, act) => canvas.addEventListener(name, act);
     on('pointerdown', (event) => {
       if (event.shiftKey) this.#setMark(this.#at(event.offsetX));
+      else if (this.isZoomed && event.pointerType === 'touch') this.#held = event.offsetX;
       else this.#drag = event.offsetX;
       this.#point(event.offsetX);
     });
-    on('pointermove', (event) => this.#point(event.offsetX));
+    on('pointermove', (event) => {
+      if (this.#held !== null) this.#pan(event.offsetX);
+      else this.#point(event.offsetX);
+    });
     on('pointerup', (event) => this.#choose(event.offsetX));
-    on('pointercancel', () => { this.#drag = null; });
+    on('pointercancel', () => { this.#drag = this.#held = null; });
     on('dblclick', () => this.#zoomTo(null));
     on('pointerleave', (event) => {
-      this.#drag = null;
+      this.#drag = this.#held = null;
       if (event.pointerType === 'mouse') this.#move(null);
     });
     on('blur', () => this.#move(null));
@@ -136,15 +141,25 @@ export class Plot {
 
   #area = {left: 0, width: 1};
   onZoom = null;               // who shows another time instead, given [from, to]; null: up to now
+  isZoomed = false;            // a finger moves the time shown
   bounds = null;               // gives [from, to] that the wheel can reach; null: it scrolls the page
   onMark = () => {};           // given the time that is marked, or null
   onCursor = () => {};         // given where the cursor is, s before the right edge, or null
 
   #point(x) { this.#move(this.range[1] - this.#at(x)); }
 
+  #pan(x) {
+    const [from, to] = this.range;
+    const [first, last] = this.bounds();
+    const move = this.#at(this.#held) - this.#at(x);
+    const by = Math.max(first - from, Math.min(last - to, move));
+    this.#held = x;
+    this.#zoomTo([from + by, to + by]);
+  }
+
   #choose(x) {
     const from = this.#drag;
-    this.#drag = null;
+    this.#drag = this.#held = null;
     if (from !== null && Math.abs(x - from) >= LEAST_DRAG) {
       this.#zoomTo([this.#at(Math.min(x, from)), this.#at(Math.max(x, from))]);
     } else {
@@ -177,8 +192,12 @@ export class Plot {
 
   #key(event) {
     const step = {ArrowLeft: 1, ArrowRight: -1}[event.key];
+    const turn = {'+': -1, '-': 1}[event.key];
     const [from, to] = this.range;
-    if (step) this.#move((this.#cursor ?? 0) + step * (to - from) / 60);
+    if (this.bounds && (turn || step && event.shiftKey)) {
+      this.#zoomTo(turned(this.range, to - (this.#cursor ?? (to - from) / 2), {
+        deltaX: turn ? 0 : -step, deltaY: turn ?? 0, deltaMode: 1}, this.bounds()));
+    } else if (step) this.#move((this.#cursor ?? 0) + step * (to - from) / 60);
     else if (event.key === 'Enter') this.#setMark(to - (this.#cursor ?? 0));
     else if (event.key === 'Escape' && this.#mark !== null) this.#setMark(null);
     else if (event.key === 'Escape') this.#zoomTo(null);
@@ -207,9 +226,10 @@ export class Plot {
     const near = nearOf(this.#area, ...this.range);
     const mark = s !== null && isWithin(this.#mark, this.range) ? this.#mark : null;
     const rows = shown.map((one, index) => {
-      const value = readAt(one.points, s, near, gap, one.step);
-      return {...one, index, value, difference: mark !== null && differenceOf(
-        readAt(one.points, mark, near, gap, one.step), value)};
+      const {step, isSampled} = one;
+      const read = (time) => readAt(one.points, time, near, {gap, step, isSampled});
+      const value = read(s);
+      return {...one, index, value, difference: mark !== null && differenceOf(read(mark), value)};
     });
     const when = s === null ? '' : unix ? ` at ${clock(unix(s))}`
       : ` at \u2212${spanText(this.#zero - s)}${timeOfDay(s)}`;

@@ -1,7 +1,7 @@
 // Copyright 2026 The mecarover_serial authors
 // SPDX-License-Identifier: Apache-2.0
-// Chosen registers, value by value: asked for again and again, kept for a minute, thinned to what
-// a plot can show, written as CSV.
+// Chosen registers, value by value, and differences of them: asked for again and again, kept for a
+// minute, thinned to what a plot can show, written as CSV.
 
 export const MOST = 8;
 export const SPAN_S = 60;
@@ -105,6 +105,45 @@ export class Signal {
   }
 }
 
+/** One register minus another, at the times of what was read. */
+export class Difference extends Signal {
+  constructor(one, other) {
+    super(one.device, one.key);
+    this.parts = [one, other];
+  }
+
+  update() {
+    const [one, other] = this.parts;
+    this.isWritten = one.isWritten && other.isWritten;
+    const base = one.isWritten ? other : one;
+    const times = this.isWritten ? Float64Array.from([...timesOf(one), ...timesOf(other)]).sort()
+      : timesOf(base);
+    const [first, second] = [valueOf(one), valueOf(other)];
+    const data = new Float64Array(2 * times.length);
+    times.forEach((s, at) => {
+      data[2 * at] = s;
+      data[2 * at + 1] = first(s) - second(s);
+    });
+    Object.assign(this, {data, begin: 0, end: data.length, gap: base.gap});
+  }
+}
+
+const timesOf = ({data, begin, end}) =>
+  Float64Array.from({length: (end - begin) / 2}, (_, at) => data[begin + 2 * at]);
+
+/** A function that gives the value at a time, each later than the last one: NaN where unknown. */
+function valueOf({data, begin, end, gap, isWritten}) {
+  let at = begin;
+  return (s) => {
+    while (at + 2 < end && data[at + 2] <= s) at += 2;
+    const isNextNearer = !isWritten && at + 2 < end && data[at + 2] - s < s - data[at];
+    const near = isNextNearer ? at + 2 : at;
+    const isKnown = begin < end
+      && (isWritten ? data[near] <= s : Math.abs(data[near] - s) <= gap);
+    return isKnown ? data[near + 1] : NaN;
+  };
+}
+
 class Columns {
   points = [];
   #open = null;                // the column that is being filled
@@ -193,6 +232,17 @@ export class Signals {
 
   close() { this.#turn = 0; }
 
+  /** Get the past of what has no points yet, while it is closed. */
+  async fill() {
+    const some = this.all.filter(({next}) => !next);
+    if (!some.length || this.isOpen) return;
+    try {
+      this.#take(some, await this.#fetch(some));
+    } catch (error) {
+      this.onProblem(error.message);
+    }
+  }
+
   async #ask(turn) {
     const {all} = this;
     let rest = EVERY_MS;
@@ -219,7 +269,7 @@ export class Signals {
   }
 
   #take(all, numbers) {
-    [this.now, this.origin] = numbers;
+    if (this.isOpen || !this.now) [this.now, this.origin] = numbers;
     let at = 2 + 3 * all.length;
     all.forEach((signal, index) => {
       const [kind, first, count] = numbers.subarray(2 + 3 * index);

@@ -8,7 +8,7 @@ import {clock, figure, id3, numberOf, splitUnit} from './format.js';
 import {fillEmpty} from './parts.js';
 import {keepFilters, path} from './place.js';
 import {Plot} from './plot.js';
-import {csvOf, MOST, Signal, Signals, SPAN_S} from './signal.js';
+import {csvOf, Difference, MOST, Signal, Signals, SPAN_S} from './signal.js';
 import {measured, shownIn} from './units.js';
 
 const SPANS = [[5, '5 s'], [20, '20 s'], [SPAN_S, '60 s']];
@@ -16,6 +16,7 @@ const FIRST = ['Present Position', 'Goal Position', 'Present Current', 'Present 
   'Present Velocity', 'Present Temperature', 'Present Input Voltage'];   // at the top of the list
 const NO_UNIT = 'no unit';
 const MOST_LINES = 4;          // in a plot
+const REST_MS = 300;           // after a move, until the address has it
 
 /** The address that shows some registers of a device at the rate of the bus. */
 export const pathOfSignals = (device, keys) => `${path('signals')}?${new URLSearchParams(
@@ -26,6 +27,9 @@ export class SignalsView {
   #plots = new Map();
   #span = 20;
   #zoom = null;                // [from, to] in s; null: up to now
+  #mark = null;                // s
+  #cursor = null;              // s, where it was last
+  #wanted = null;              // what the address asks for, until the clock is known
 
   constructor(_, filters) {
     this.signals = new Signals(() => this.#draw(), (text) => { this.problem = text; });
@@ -33,33 +37,56 @@ export class SignalsView {
     this.isFirst = !keys.length;
     this.signals.all = filters.getAll('of').slice(0, MOST)
       .map((device, index) => new Signal(device, keys[index] ?? ''));
+    this.differences = filters.getAll('minus').map((pair) =>
+      pair.split('.').map((index) => this.signals.all[index]))
+      .filter(([one, other]) => one && other).map(([one, other]) => new Difference(one, other));
     this.problem = '';
     this.watch = filters.get('of') ?? '';
     this.device = h('select', {ariaLabel: 'Device', onchange: () => {
       this.watch = this.device.value;
+      this.key = this.meant;
       this.update(this.store);
     }});
-    this.register = h('select', {ariaLabel: 'Register', onchange: () => this.update(this.store)});
+    this.register = h('select', {ariaLabel: 'Register', onchange: () => {
+      this.meant = this.register.value;
+      this.key = undefined;
+      this.update(this.store);
+    }});
     this.add = h('button', {type: 'button', class: 'button', onclick: () => this.#change()});
+    this.addAll = h('button', {type: 'button', class: 'button', onclick: () => this.#addAll(),
+      title: `This register of each servo of this model, up to ${MOST} registers`}, 'Add for all');
+    this.minus = h('select', {ariaLabel: 'Difference', onchange: () => this.#subtract()});
     this.spans = h('div', {class: 'choice', role: 'group', ariaLabel: 'Time shown'},
       ...SPANS.map(([span, text]) => h('button', {type: 'button', 'data-span': span,
         onclick: () => this.#show(span)}, text)));
     this.pause = h('button', {type: 'button', class: 'button', onclick: () => this.#pause()});
+    this.marks = h('button', {type: 'button', class: 'button', title: 'Count from the cursor',
+      onclick: () => this.#setMark(this.#mark === null ? this.#cursor : null)}, 'Mark');
     this.csv = h('button', {type: 'button', class: 'button', onclick: () => this.#save()}, 'CSV');
     this.words = h('p', {class: 'quiet', role: 'status'});
     this.empty = h('div', {class: 'empty'});
     this.graphs = h('div', {class: 'graphs'});
     this.body = h('section', {class: 'panel signals'},
-      h('div', {class: 'past-head'}, this.device, this.register, this.add),
-      h('div', {class: 'past-head'}, this.spans, this.pause, this.csv), this.words, this.graphs);
+      h('div', {class: 'past-head'}, this.device, this.register, this.add, this.addAll,
+        this.minus),
+      h('div', {class: 'past-head'}, this.spans, this.pause, this.marks, this.csv), this.words,
+      this.graphs);
     this.element = h('div', {}, h('h1', {class: 'unseen', tabindex: -1}, 'Signals'), this.empty,
       this.body);
-    this.signals.open();
-    this.#show(this.#span);
+    this.#span = SPANS.find(([span]) => span === Number(filters.get('span')))?.[0] ?? this.#span;
+    const [from, to, mark, cursor] = ['from', 'to', 'mark', 'cursor'].map((name) =>
+      filters.has(name) ? Number(filters.get(name)) : null);
+    if (from !== null && from < to) {
+      this.#wanted = {from, to, mark, cursor};
+      this.signals.fill();
+    } else {
+      this.signals.open();
+    }
   }
 
   close() {
     this.signals.close();
+    clearTimeout(this.timer);
     for (const plot of this.#plots.values()) plot.close();
   }
 
@@ -67,37 +94,129 @@ export class SignalsView {
     this.#span = span;
     this.#zoom = null;
     if (!this.signals.isOpen) this.signals.open();
+    for (const plot of this.#plots.values()) plot.point(null);
+    this.#keepPlace();
     this.#draw();
   }
 
   #pause() {
-    if (this.signals.isOpen) this.signals.close();
+    if (this.signals.isOpen) this.#stopAt(this.range);
     else this.#show(this.#span);
+  }
+
+  #stopAt(zoom) {
+    this.#zoom = zoom;
+    this.gone = '';
+    this.signals.close();
+    this.#remember();
     this.#draw();
+  }
+
+  #setMark(s) {
+    this.#mark = s;
+    this.#remember();
+    this.#draw();
+    this.#placeCursors();
+  }
+
+  #placeCursors() {
+    for (const plot of this.#plots.values()) {
+      plot.mark(this.#mark);
+      if (this.#zoom && this.#cursor !== null) plot.point(this.#zoom[1] - this.#cursor);
+    }
+  }
+
+  /** Write what is shown into the address, soon; times where it does not move. */
+  #remember() {
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.#keepPlace(), REST_MS);
+  }
+
+  #keepPlace() {
+    clearTimeout(this.timer);
+    const {all, origin} = this.signals;
+    const times = this.#zoom
+      ? [['from', this.#zoom[0]], ['to', this.#zoom[1]], ['mark', this.#mark],
+        ['cursor', this.#cursor]] : [];
+    keepFilters([
+      ...all.flatMap(({device, key}) => [['of', device], ['register', key]]),
+      ...this.differences.map(({parts}) =>
+        ['minus', parts.map((one) => all.indexOf(one)).join('.')]),
+      ['span', this.#span], ...times.filter(([, s]) => s !== null)
+        .map(([name, s]) => [name, (s + origin).toFixed(3)])]);
+  }
+
+  /** Show the time that the address names, or say that it is no longer there. */
+  #goToWanted() {
+    const {signals} = this;
+    const {from, to, mark, cursor} = this.#wanted;
+    this.#wanted = null;
+    if (from - signals.origin > signals.now || to - signals.origin < signals.now - SPAN_S) {
+      this.gone = 'The time of this link is over: a minute is kept.';
+      this.#show(this.#span);
+      return;
+    }
+    const here = (s) => s === null ? null : s - signals.origin;
+    [this.#mark, this.#cursor] = [here(mark), here(cursor)];
+    this.#stopAt([here(from), here(to)]);
+    this.#placeCursors();
   }
 
   /** Add the register of the lists; or take it away, where it is shown. */
   #change() {
     const {signals, register} = this;
     if (this.shown) {
-      this.#keep(signals.all.filter((one) => one !== this.shown));
+      this.#remove(this.shown);
     } else {
       const added = new Signal(this.watch, register.value);
+      this.meant = added.key;
       register.selectedIndex = (register.selectedIndex + 1) % register.length;
       this.#keep([...signals.all, added]);
     }
   }
 
+  /** Add the register of the lists for all servos of this model. */
+  #addAll() {
+    const {all} = this.signals;
+    const {model} = this.store.devices.get(this.watch);
+    const others = this.devices.filter((one) => one.model === model && !all.some(
+      ({device, key}) => device === one.name && key === this.register.value));
+    this.#keep([...all, ...others.map(({name}) => new Signal(name, this.register.value))]
+      .slice(0, MOST));
+  }
+
+  /** Add the difference that was chosen; or take it away, where it is shown. */
+  #subtract() {
+    const [one, other] = this.minus.value.split('.').map((index) => this.signals.all[index]);
+    const shown = this.differences.find(({parts}) => parts[0] === one && parts[1] === other);
+    this.differences = shown ? this.differences.filter((each) => each !== shown)
+      : [...this.differences, new Difference(one, other)];
+    this.minus.value = '';
+    this.#keep(this.signals.all);
+  }
+
+  #remove(signal) {
+    this.differences = this.differences.filter((one) => one !== signal);
+    this.#keep(this.signals.all.filter((one) => one !== signal));
+  }
+
   #keep(all) {
     this.isFirst = false;
     this.signals.all = all;
-    keepFilters(all.flatMap(({device, key}) => [['of', device], ['register', key]]));
+    this.differences = this.differences.filter(({parts}) =>
+      parts.every((one) => all.includes(one)));
+    this.signals.fill();
+    this.#keepPlace();
+    const count = this.#plots.size;
     this.update(this.store);
+    if (this.#plots.size <= count) return;
+    this.#placeCursors();
+    this.graphs.lastChild.scrollIntoView({block: 'nearest'});
   }
 
   update(store) {
     this.store = store;
-    const devices = store.groups().flatMap((group) => group.devices);
+    const devices = this.devices = store.groups().flatMap((group) => group.devices);
     this.empty.hidden = devices.length > 0;
     this.body.hidden = !devices.length;
     if (!devices.length) fillEmpty(this.empty, store);
@@ -107,7 +226,8 @@ export class SignalsView {
     const rank = ({key}) => (FIRST.indexOf(splitUnit(key)[0]) + FIRST.length + 1)
       % (FIRST.length + 1);
     fill(this.register, fields.filter(({value, raw}) => Number.isFinite(numberOf(raw || value)))
-      .sort((a, b) => rank(a) - rank(b)).map(({key}) => [key, shownKey(key)]));
+      .sort((a, b) => rank(a) - rank(b)).map(({key}) => [key, shownKey(key)]), this.key);
+    if (this.register.value === this.key) this.key = undefined;
     if (this.isFirst && fields.length) {            // somebody who chose nothing sees something
       const first = FIRST.slice(0, 2).flatMap((name) =>
         fields.filter(({key}) => splitUnit(key)[0] === name));
@@ -119,26 +239,46 @@ export class SignalsView {
       one.device === this.watch && one.key === this.register.value);
     say(this.add, this.shown ? 'Remove' : 'Add');
     set(this.add, 'title', `Up to ${MOST} registers`);
-    set(this.add, 'disabled',
-      !this.shown && (this.signals.all.length >= MOST || !this.register.value));
+    const isFull = this.signals.all.length >= MOST || !this.register.value;
+    set(this.add, 'disabled', !this.shown && isFull);
+    set(this.addAll, 'disabled', isFull);
+    this.#offerDifferences();
     say(this.words, this.problem || this.#advice());
     this.#draw();
   }
 
   get isSampled() { return !this.store.facts.source; }
 
-  #advice() {
+  #offerDifferences() {
     const {all} = this.signals;
-    const slow = this.isSampled ? 'Each dot is a sample: ROS topics carry registers at '
-      + 'publish_rate only, and what was on the bus in between is not known. '
+    const pairs = all.flatMap((one, first) => all.flatMap((other, second) =>
+      one !== other && splitUnit(one.key)[1] === splitUnit(other.key)[1]
+        ? [[`${first}.${second}`, [one, other]]] : []));
+    const isShown = (pair) => this.differences.some(({parts}) =>
+      parts.every((part, at) => part === pair[at]));
+    fill(this.minus, [['', 'Difference\u2026'], ...pairs.map(([value, pair]) =>
+      [value, (isShown(pair) ? 'Remove ' : '') + this.#nameOfPair(...pair)])], '');
+    this.minus.hidden = !pairs.length;
+  }
+
+  #advice() {
+    const {all, now} = this.signals;
+    const rate = Math.max(0, ...all.map((one) => one.rate(now)));
+    const slow = this.isSampled ? `${rate ? `${figure(rate, 1)} Hz samples` : 'Samples'} from `
+      + 'dxl/diagnostics (publish_rate); what was in between is unknown. '
       + 'All values: dxl_dashboard SOURCE, without ROS.' : '';
     if (!all.length) return `Choose up to ${MOST} registers of any servos. ${slow}`;
-    return slow;
+    return [this.gone, slow].filter(Boolean).join(' ');
   }
 
   #draw() {
     const {all, now, isOpen} = this.signals;
     if (!this.store) return;
+    if (this.#wanted) {
+      if (now) this.#goToWanted();
+      return;
+    }
+    for (const one of this.differences) one.update();
     for (const button of this.spans.children) {
       set(button, 'aria-pressed', !this.#zoom && Number(button.dataset.span) === this.#span);
     }
@@ -146,12 +286,14 @@ export class SignalsView {
     set(this.pause, 'aria-pressed', !isOpen);
     set(this.csv, 'disabled', !all.length);
     const [from, to] = this.range;
-    const groups = groupsOf(all);
+    set(this.marks, 'aria-pressed', this.#mark !== null);
+    const groups = [...groupsOf(all), ...groupsOf(this.differences, 'difference ')];
     each(this.graphs, groups, ({key}) => key, (one) => this.#makePlot(one), (element, one) => {
       const {key, some} = one;
       set(element, 'data-empty', some.every((one) => one.end === one.begin));
       const plot = this.#plots.get(key);
       plot.cover(to - from, {isQuiet: true});
+      plot.isZoomed = Boolean(this.#zoom);
       plot.update(some.map((signal) => {
         const points = signal.drawn(from, to, plot.width, now);
         const [, unit] = splitUnit(signal.key);
@@ -159,7 +301,7 @@ export class SignalsView {
           note: [...rateOf(signal, now, this.isSampled), ...extremes(points, unit),
             ...averageOf(signal, from, to, unit)].join(', '),
           hasDots: !signal.isWritten, isSampled: this.isSampled,
-          remove: () => this.#keep(this.signals.all.filter((one) => one !== signal))};
+          remove: () => this.#remove(signal)};
       }), to, {gap: Infinity, rest: 0, zero: now,
         timeOfDay: (s) => this.#timeOfDay(s)});
     });
@@ -188,25 +330,40 @@ export class SignalsView {
         this.#show(this.#span);
         return;
       }
-      this.#zoom = zoom;
-      this.signals.close();
-      this.#draw();
+      this.#stopAt(zoom);
+      this.#placeCursors();
     };
     plot.bounds = () => [this.signals.now - SPAN_S, this.signals.now];
-    plot.onMark = (s) => {
-      for (const other of this.#plots.values()) if (other !== plot) other.mark(s);
-    };
+    plot.onMark = (s) => this.#setMark(s);
     plot.onCursor = (cursor) => {
+      if (cursor !== null) this.#cursor = this.range[1] - cursor;
+      if (this.#zoom) this.#remember();
       for (const other of this.#plots.values()) if (other !== plot) other.point(cursor);
     };
+    plot.mark(this.#mark);
     this.#plots.set(key, plot);
     return plot.element;
   }
 
-  #name({device, key}) {
+  #nameOfDevice(device) {
     const row = this.store.devices.get(device);
-    const devices = this.store.groups().flatMap((group) => group.devices);
-    return `${row ? nameOf(row, devices) : device} ${splitUnit(key)[0]}`;
+    return row ? nameOf(row, this.devices) : device;
+  }
+
+  #name({device, key, parts}) {
+    return parts ? this.#nameOfPair(...parts)
+      : `${this.#nameOfDevice(device)} ${splitUnit(key)[0]}`;
+  }
+
+  /** '002 \u2212 003 Present Current': what both have in common is said once. */
+  #nameOfPair(one, other) {
+    const register = splitUnit(one.key)[0];
+    if (one.key === other.key) {
+      const [first, second] = [one, other].map(({device}) => this.#nameOfDevice(device));
+      return `${first} \u2212 ${second} ${register}`;
+    }
+    return `${this.#name(one)} \u2212 ${
+      one.device === other.device ? splitUnit(other.key)[0] : this.#name(other)}`;
   }
 
   /** The first register, and when the time shown begins (UTC): files of two choices differ. */
@@ -218,7 +375,8 @@ export class SignalsView {
   }
 
   #save() {
-    const {all, origin} = this.signals;
+    const {origin} = this.signals;
+    const all = [...this.signals.all, ...this.differences];
     const names = all.map((signal) => `${this.#name(signal)}${unitOf(signal.key)}`);
     const text = csvOf(all, names, this.range,
       this.store.player ? 'recording (s)' : 'Unix time (s)', origin);
@@ -230,7 +388,7 @@ export class SignalsView {
 }
 
 /** What shares a plot: up to four registers of one unit, those of a servo next to each other. */
-function groupsOf(signals) {
+function groupsOf(signals, kind = '') {
   const units = new Map();
   const byDevice = (a, b) => a.device < b.device ? -1 : Number(a.device > b.device);
   for (const signal of [...signals].sort(byDevice)) {
@@ -238,7 +396,8 @@ function groupsOf(signals) {
     units.set(unit, [...units.get(unit) ?? [], signal]);
   }
   return [...units].flatMap(([unit, all]) => [0, MOST_LINES].map((from) => ({
-    key: `${unit} ${from}`, unit: unit || NO_UNIT, some: all.slice(from, from + MOST_LINES)})))
+    key: `${kind}${unit} ${from}`, unit: kind + (unit || NO_UNIT),
+    some: all.slice(from, from + MOST_LINES)})))
     .filter(({some}) => some.length);
 }
 
@@ -280,5 +439,5 @@ function averageOf(signal, from, to, reported) {
 function fill(select, options, value = select.value) {
   each(select, options, ([one]) => one, ([one]) => h('option', {value: one}),
     (option, [, text]) => say(option, text));
-  if (options.some(([one]) => one === value)) select.value = value;
+  select.value = options.some(([one]) => one === value) ? value : options[0]?.[0];
 }
