@@ -522,7 +522,7 @@ def test_signals_over_ros_are_samples(page):
         drawPlot(document.querySelector('.signals canvas'), [{points, isSampled: true}],
             {from: 0, to: 2, cursor: null, mark: null, gap: Infinity, now: 2});
         CanvasRenderingContext2D.prototype.lineTo = lineTo;
-        return [readAt(points, 0.5, 0.01, Infinity, true), drawn];
+        return [readAt(points, 0.5, 0.01, {gap: Infinity, isSampled: true}), drawn];
     }""")
     assert read == {'low': 1, 'high': 1, 'at': 0}
     assert all(x == before[0] or y == before[1]
@@ -697,7 +697,7 @@ BAND = """async () => {
         .filter((at) => data[at + 2] - data[at] > 60).length;
     canvas.remove();
     return [[5, 15, 30, 45, 55].map(painted),
-        [5, 10, 15, 30, 45, 55, null].map((s) => readAt(points, s, 1, 25, 10))];
+        [5, 10, 15, 30, 45, 55, null].map((s) => readAt(points, s, 1, {gap: 25, step: 10}))];
 }"""
 
 

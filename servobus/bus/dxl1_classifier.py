@@ -30,6 +30,7 @@ from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import Request
 from msg_defs.dxl_mixed import MixedFramer
 from msg_defs.dxl_packet import Framer
+from msg_defs.dxl_packet import REASONS
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.frame import EITHER_1
@@ -81,7 +82,7 @@ class Dxl1Classifier:
         self._detector = detector
         self.slow_ns = REPLY_LATE_NS             # and the adapter may keep bytes back for longer
         self.packets = 0                   # those of the 1.0 family
-        self.damaged = Counter[str]()       # those under `auto`
+        self.damaged = dict.fromkeys(REASONS, 0)   # those under `auto`
         self._unconfirmed: Candidate | None = None     # it was the last
         self._confirmation = IdConfirmation(registry)
         self._request = _NOTHING

@@ -92,7 +92,7 @@ class PacketRecording(CaptureRecording):
             self._comments[bus].append(f'no answer from {entry.device.number:03}')
         if not entry.wire:
             return
-        comments = [f'damaged: {flaw_words(entry)}'] * (entry.kind == DAMAGED)
+        comments = [f'damaged: {flaw_words(entry)}'] if entry.kind == DAMAGED else []
         self._write(bus, entry.stamp, entry.wire, entry.side, comments)
 
     def record_chunk(self, chunk: Chunk, monitors: Mapping[str, Monitor]) -> None:
