@@ -44,6 +44,7 @@ _SPECIAL = ('ID', 'Baud Rate', RETURN_LEVEL)
 _CALIBRATING = (OFFSET, TORQUE)     # how it is calibrated
 _USES_KEPT = 64
 _REPLY_SPREAD_NS = 3_000_000             # by Return Delay Time 0.5 ms, and as much as USB adds
+ID_END = 9                         # where ID and Baud Rate end in a table that is not known
 _NUMBER_SIZE = 2                   # bytes: Model Number
 
 
@@ -69,8 +70,8 @@ class Device:
     silent device in front of it in a group read |
     | error_bits | DeviceRegistry.store_error_bits() |
     | last_error, asked_first, latency, latency_resolved | Tracker, with an answer |
-    | registered, moved_to | DeviceRegistry: a Reg Write before its Action; the baud rate that \
-    was written, in words |
+    | registered, registered_times, registered_ns, moved_to | DeviceRegistry: a Reg Write before \
+    its Action; the baud rate that was written, in words |
     | used | record_use(): what a program reads and writes of it while its model is unknown |
     | table, counts, errors, snapshots, place | all who store or count; place: Present Position \
     as it was some time after the last report |
@@ -89,6 +90,7 @@ class Device:
         self.model_number: int | None = None
         self.firmware: int | None = None
         self.registered: tuple[int, bytes, bool] | None = None  # for DeviceRegistry.write()
+        self.registered_times = self.registered_ns = 0    # since the last Action; of the first
         self.moved_to = ''
         self.used: set[Use] = set()
         self.waiting_behind: int | None = None
@@ -279,7 +281,8 @@ def report_device(device: Device, now: int, quiet_s: float) -> tuple[DeviceRepor
         last_error=device.error_words, status_return_level=device.return_level,
         acks=device.acks, acks_missing=device.acks_missing, observed=(), unobserved=0,
         latency=device.latency_report(now), errors=dict(device.errors), expected=device.expected,
-        moved_to=device.moved_to, quiet_s=quiet_s, place=place), device.table.copy()
+        moved_to=device.moved_to, quiet_s=quiet_s, place=place,
+        registered=device.registered_times, registered_s=(now - device.registered_ns) / 1e9), device.table.copy()
 
 
 @lru_cache(maxsize=256)
@@ -291,7 +294,7 @@ def _special_of(model: Model) -> tuple[list[Field], int, int]:
     ends += [field.end for field in model.fields
              if field.memory == 'eeprom' and 'w' in field.access]
     level_at = next((field.at for field in special if field.name == RETURN_LEVEL), -1)
-    return special, max(ends, default=0), level_at
+    return special, max(ends, default=ID_END), level_at
 
 
 def _special_value(field: Field, raw: bytes) -> int:

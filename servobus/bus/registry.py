@@ -27,6 +27,7 @@ from servobus.bus.evidence import Evidence
 from servobus.bus.expected import Expected
 from servobus.bus.expected import MAX_ID
 from servobus.bus.plan import Effect
+from servobus.bus.report import IdWrite
 from servobus.bus.report import NEW_ID
 from servobus.bus.table import IDENTITY
 from servobus.bus.table import NO_SPAN
@@ -49,6 +50,8 @@ _RESET_KEEPS: dict[str, tuple[str, ...]] = {
     '': ('ID', 'Baud Rate'),
 }
 _CALIBRATED = (PLACE, OFFSET)
+# Where a device of unknown model has its ID, by its protocol; the Baud Rate comes after it.
+_ID_AT = {'2': (7,), '1': (3,), 'feetech': (5,), '1 or feetech': (3, 5)}
 _DIALECTS = {dialect.protocol: dialect for dialect in DIALECTS}
 _CLEARS = {MULTI_TURN: PLACE, ERROR: 'Hardware Error Status'}
 
@@ -74,6 +77,7 @@ class DeviceRegistry:
         self._dummy = Device(NO_ID)        # takes what is sent to an ID that no device can have
         self.plans_hold = True
         self.new_ids: set[int] = set()
+        self.id_writes: dict[int, IdWrite] = {}     # by the new ID
         self._followers = {'ID': self.renumber, 'Baud Rate': self._follow_baud,
                            RETURN_LEVEL: lambda device, level, _: device.set_return_level(level),
                            OFFSET: self._follow_offset, TORQUE: self._follow_torque}
@@ -108,6 +112,8 @@ class DeviceRegistry:
 
     def accept_status(self, device: Device, error: int, stamp: int) -> None:
         """Take any status as a sign of life; error is its error byte, alert bit included."""
+        if device.number in self._renamed:
+            self._note_old_id(device.number, stamp)
         if device.missed_in_a_row:
             silence_ms = (stamp - device.heard) // 1_000_000
             if device.heard and silence_ms >= ABSENCE_MS:
@@ -261,20 +267,22 @@ class DeviceRegistry:
                  alone: bool = True) -> None:
         """Keep a Reg Write until its Action."""
         device.registered = address, data, alone
+        device.registered_ns = device.registered_ns if device.registered_times else stamp
+        device.registered_times += 1
 
     def write_registered(self, device: Device, stamp: int) -> None:
         """Carry out the registered write, at an Action."""
         if device.registered is not None:
             address, data, alone = device.registered
             self.write(device, address, data, stamp, alone)
-            device.registered = None
+            device.registered, device.registered_times = None, 0
 
     def reboot(self, device: Device, stamp: int) -> None:
         """Forget what a device loses when it restarts."""
         self._evidence.add_incident(stamp, ev.REBOOTED, device.number, ev.NOTHING)
         self.resolve(device)
         device.table.forget('ram', device.model)
-        device.registered = None
+        device.registered, device.registered_times = None, 0
 
     def factory_reset(self, device: Device, option: str, stamp: int) -> None:
         """Forget what a Factory Reset changes; with 'all' the ID becomes 1."""
@@ -311,12 +319,33 @@ class DeviceRegistry:
         is_kept = field is not None and field.memory == 'eeprom'
         device.counts.eeprom_writes += is_kept
         lock = device.model.by_name.get('Lock')
+        self._note_new_id(device, address, data, stamp)
         is_locked = is_kept and lock is not None and device.table.byte(lock.at) == 1
         for name, value in device.special_values(address, data):
             if alone or name != 'ID':
                 self._followers[name](device, value, stamp)
         if is_locked:
             self._evidence.add_incident(stamp, ev.LOCKED, device.number, ev.Written(address))
+
+    def _note_new_id(self, device: Device, address: int, data: bytes, stamp: int) -> None:
+        """Keep an ID that is written, also where the model of the device is not known."""
+        field = device.model.by_name.get('ID')
+        at = field.at - address if field is not None else -(address not in _ID_AT[device.protocol])
+        if not 0 <= at < len(data) or not device.heard or not device.number != data[at] <= self.highest:
+            return
+        self.id_writes.pop(device.number, None)
+        before = self.id_writes.get(data[at])
+        ids = before.ids if before is not None and before.stamp == stamp else ()
+        baud = data[at + 1] if at + 1 < len(data) else -1
+        self.id_writes[data[at]] = IdWrite(data[at], (*ids, device.number), stamp, baud)
+        self._renamed[device.number] = data[at]
+        device.is_unusual = True
+
+    def _note_old_id(self, number: int, stamp: int) -> None:
+        """Note that a device answers to the ID that it had before."""
+        one = self.id_writes.get(self._renamed[number])
+        if one is not None and not one.back and stamp > one.stamp:
+            self.id_writes[one.number] = one._replace(back=stamp)
 
     def _follow_baud(self, device: Device, value: int, stamp: int) -> None:
         self._evidence.add_incident(stamp, ev.BAUD_WRITTEN, device.number, ev.Written(value))

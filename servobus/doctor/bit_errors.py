@@ -201,6 +201,13 @@ def _one_flip_1(got: bytes) -> WrongBit | None:
     return None
 
 
+def is_whole_without(shape: ExpectedPacket, lost: int, got: bytes) -> bool:
+    """Tell whether bytes begin with a packet that lacks its first bytes, and nothing else."""
+    packet = shape.known[:lost] + got[:shape.size - lost]
+    return len(packet) == shape.size and packet.startswith(shape.known) \
+        and not _syndrome(packet, shape.known.startswith(HEADER))
+
+
 # --- what it looks like ------------------------------------------------------------------------
 
 def describe_damage(found: Sequence[DamagedPacket]) -> str:

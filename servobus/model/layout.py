@@ -39,7 +39,8 @@ _NAMED_SERIES = 4                  # more are "several"
 # series that are known may well be something different in one that is not.
 _COMMON = ('Torque Enable', 'Goal Position', 'Goal Velocity', 'Present Position',
            'Present Velocity', 'Present Load', 'Present Input Voltage', 'Present Temperature',
-           'Hardware Error Status', 'Lock', 'ID', 'Baud Rate')
+           'Hardware Error Status', 'Min Voltage Limit', 'Max Voltage Limit', 'Lock', 'ID',
+           'Baud Rate')
 _BASIC = ('ID', 'Baud Rate', 'Lock')
 # STS and SCS of Feetech differ in the order of bytes: one of these says which.
 _TELLS_ORDER = ('Lock', 'Acceleration')

@@ -165,7 +165,7 @@ def voltage(case: Case) -> Claims:
     Do: charge the battery, use thicker cables.
     """
     unknown, pinged = [], []
-    found = []
+    found, sides = [], {}
     for device in case.devices:
         error = latched_error(device) if device.last_error.endswith(_OF_SUPPLY) else None
         # An error bit of now says more than a value of then.
@@ -181,10 +181,12 @@ def voltage(case: Case) -> Claims:
         if low is None and high is None and not error and device.model.number is not None:
             unknown.append(device.id)
         if low is not None and volts < low + NEAR_VOLTS:
+            sides[f'below its limit of {low:.1f} V'] = device.id
             found.append(_supply_claim(
                 device, volts, volts < low, f'below its limit of {low:.1f} V{source}: charge the '
                 'battery, check cable gauge and the load on the chain'))
         elif high is not None and volts > high - NEAR_VOLTS:
+            sides[f'above its limit of {high:.1f} V'] = device.id
             found.append(_supply_claim(
                 device, volts, volts > high, f'above its limit of {high:.1f} V{source}: lower the '
                 'supply voltage, or use a supply that takes the braking current'))
@@ -193,7 +195,8 @@ def voltage(case: Case) -> Claims:
     yield from found
     ids = tuple([one.device for one in found if one.device is not None])
     if len(found) >= SUPPLY_MIN_DEVICES:
-        yield Claim(f'{len(found)} devices near or beyond a voltage limit: the supply is '
+        where = f', as {first_ids(sides.values())} {next(iter(sides))}' if len(sides) == 1 else ''
+        yield Claim(f'{len(found)} devices near or beyond a voltage limit{where}: the supply is '
                     'the cause; measure it, and compare it with their labels',
                     {'devices': all_ids(ids)},
                     _level(any(one.level is not Level.WARN for one in found)),

@@ -353,8 +353,8 @@ def _claim_unacknowledged(case: Case) -> Claims:
                 and not (device.id in case.gone and device.totals.data_missed) \
                 and not device.window.spoilt and not device.moved_to:
             says = (f'never heard, and did not acknowledge {device.acks_missing} writes, as '
-                    'others do: check its power, cable and ID, or its Status Return Level if it '
-                    'answers a Ping')
+                    'others do: check its power, cable, ID and baud rate, or its Status Return '
+                    'Level if it answers a Ping')
             yield Claim(says, level=None if failed else Level.WARN, device=device.id) \
                 if failed or (is_over and device.acks_missing > ACKS_MISSED_LIMIT) \
                 else Doubt(says, device.id, f'ping {device.id:03} alone: if it answers, set its '

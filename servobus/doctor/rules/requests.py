@@ -74,6 +74,7 @@ TWIN_MIN_FACTOR = 1.5              # two answer twice as often as one
 NO_IDS = (0xFD, 0xFF)
 _NO_ID = ', which no device can have (0 to 252): correct the ID in its program'
 SENT_MIN_BYTES = 30                # three packets
+UNUSED_MIN_S = 2.0                 # since the first: one Action for several comes by then
 SCAN_MIN_PINGS = 15                # broadcast Pings in 10 s: each needs 0.8 s
 SCAN_MIN_SHARE = 0.7               # share of the instructions
 FAST_READS = (Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ)
@@ -85,9 +86,12 @@ NO_BULK_READ = ('AX', 'RX', 'EX', 'DX')
 # Model numbers, and the firmware from which they know fast reads: MX(2.0) never.
 _FAST_SINCE = (((30, 311, 321), 256), (range(1190, 1250), 46), (range(1000, 1400), 45),
                (range(2000, 2130), 12))
-# Addresses of other series that programs use by mistake (e-Manual, PRO), with their registers.
-_PRO = {562: 'Torque Enable', 596: 'Goal Position', 600: 'Goal Velocity', 604: 'Goal Torque',
-        611: 'Present Position', 615: 'Present Velocity'}
+# Addresses of other series that programs use by mistake (e-Manual), with their registers.
+_ELSEWHERE = {address: (name, series) for series, names in (
+    ('PRO', {562: 'Torque Enable', 596: 'Goal Position', 600: 'Goal Velocity',
+             604: 'Goal Torque', 611: 'Present Position', 615: 'Present Velocity'}),
+    ('P', {512: 'Torque Enable', 552: 'Goal Velocity', 564: 'Goal Position',
+           576: 'Present Velocity', 580: 'Present Position'})) for address, name in names.items()}
 
 
 # --- what it sends and reads ---------------------------------------------------------------------
@@ -301,8 +305,9 @@ def wrong_address(case: Case, device: DeviceReport) -> Found | None:
 
 def _what_is_there(device: DeviceReport, address: int, error: int) -> str:
     field = device.model.by_address.get(address)
-    if address in _PRO and (field is None or field.name != _PRO[address]):
-        return f'{_PRO[address]} of the PRO series; use the control table of {device.model_name}'
+    name, series = _ELSEWHERE.get(address, ('', ''))
+    if name and (field is None or field.name != name):
+        return f'{name} of the {series} series; use the control table of {device.model_name}'
     if field is None:
         return f'{device.model_name} has no register there; check the control table in use'
     if error == RANGE_ERROR:
@@ -616,6 +621,21 @@ def never_written(case: Case, device: DeviceReport) -> Found | None:
                  {'reads': device.totals.reads})
 
 
+@Rule(accounts_for={'joint at rest'})
+def no_action(case: Case) -> Claims:
+    """
+    Reg Writes, and no Action after them.
+
+    Do: send Action to it, or to all (ID 254).
+    """
+    for device in case.devices:
+        if device.registered >= INCIDENTS_MIN and device.registered_s > UNUSED_MIN_S \
+                and device.window.answers:
+            yield Claim('Reg Writes wait for an Action that does not come: send Action to it, '
+                        f'or to all (ID {BROADCAST})', {'Reg Writes': device.registered},
+                        device=device.id)
+
+
 # --- reads of several devices at once ------------------------------------------------------------
 
 @Rule(symptoms={'unanswered group reads'},
@@ -760,4 +780,4 @@ def _may_come_late(case: Case, device: DeviceReport) -> bool:
 RULES = (rate_refused, line_mode, unread_answers, wrong_packets, eeprom_locked, wrong_address,
     goal_limits, refused, impossible_id, master_stopped, scan, models, eeprom_wear,
     fast_read_unsupported, sync_read_unsupported, group_read_unanswered, unstuffed, no_acks,
-    never_written)
+    never_written, no_action)
