@@ -330,15 +330,17 @@ class DeviceRegistry:
     def _note_new_id(self, device: Device, address: int, data: bytes, stamp: int) -> None:
         """Keep an ID that is written, also where the model of the device is not known."""
         field = device.model.by_name.get('ID')
-        at = field.at - address if field is not None else -(address not in _ID_AT[device.protocol])
-        if not 0 <= at < len(data) or not device.heard or not device.number != data[at] <= self.highest:
+        at = 0 if field is None and address in _ID_AT[device.protocol] else \
+            -1 if field is None else field.at - address
+        if not 0 <= at < len(data) or not device.heard \
+                or not device.number != (number := data[at]) <= self.highest:
             return
         self.id_writes.pop(device.number, None)
-        before = self.id_writes.get(data[at])
+        before = self.id_writes.get(number)
         ids = before.ids if before is not None and before.stamp == stamp else ()
         baud = data[at + 1] if at + 1 < len(data) else -1
-        self.id_writes[data[at]] = IdWrite(data[at], (*ids, device.number), stamp, baud)
-        self._renamed[device.number] = data[at]
+        self.id_writes[number] = IdWrite(number, (*ids, device.number), stamp, baud)
+        self._renamed[device.number] = number
         device.is_unusual = True
 
     def _note_old_id(self, number: int, stamp: int) -> None:

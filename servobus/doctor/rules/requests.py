@@ -50,13 +50,13 @@ from servobus.doctor.symptom import DAMAGE
 from servobus.doctor.symptom import SILENCE
 from servobus.doctor.thresholds import INCIDENTS_MIN
 from servobus.doctor.thresholds import STILL_MAX_STEPS
+from servobus.doctor.thresholds import STILL_MIN_REPORTS
 from servobus.doctor.thresholds import TURN_STEPS
 from servobus.model.control_table import Field
 from servobus.model.control_table import UNKNOWN
 
 POSITION_CONTROL = 3               # a value of Operating Mode (e-Manual)
 GOALS_BEYOND_MIN = 2               # one may be a slip of a person
-STILL_MIN_REPORTS = 6              # at rest in so many reports: it is not on its way
 WORD = 65_536
 _RATES = 'Velocity', 'Current', 'PWM'
 _MIN_POSITION, _MAX_POSITION = 'Min Position Limit', 'Max Position Limit'
