@@ -282,7 +282,8 @@ def report_device(device: Device, now: int, quiet_s: float) -> tuple[DeviceRepor
         acks=device.acks, acks_missing=device.acks_missing, observed=(), unobserved=0,
         latency=device.latency_report(now), errors=dict(device.errors), expected=device.expected,
         moved_to=device.moved_to, quiet_s=quiet_s, place=place,
-        registered=device.registered_times, registered_s=(now - device.registered_ns) / 1e9), device.table.copy()
+        registered=device.registered_times, registered_s=(now - device.registered_ns) / 1e9,
+    ), device.table.copy()
 
 
 @lru_cache(maxsize=256)

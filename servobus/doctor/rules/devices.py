@@ -81,7 +81,7 @@ def hardware_error(case: Case, device: DeviceReport) -> Found | None:
     found = None if device.last_error.endswith(_OF_SUPPLY) else latched_error(device)
     if found is None or found.level is not Level.WARN or device.id not in case.samples:
         return found
-    likely = _likely_error(case.highest[device.id], [*case.samples[device.id]])
+    likely = _likely_error(case.highest.get(device.id, 0.0), [*case.samples[device.id]])
     return found._replace(message=found.message.replace(_LATCHED, f'{_LATCHED}{likely}'))
 
 

@@ -754,5 +754,5 @@ def stray_bytes(case: Case) -> Claims:
 
 
 RULES = (echo, text, wrong_baud, overrun, baud_moved, id_moved, id_write, protocol_1,
-    unknown_instruction, duplicate_id, foreign_answers, turnaround, noise, damaged_answers, not_sent,
-    stray_bytes)
+    unknown_instruction, duplicate_id, foreign_answers, turnaround, noise, damaged_answers,
+    not_sent, stray_bytes)
