@@ -383,7 +383,7 @@ class Monitor:
             is_over=self._failed is not None, failed=self._failed or '',
             chain=tuple(expected.id for expected in self.settings.devices),
             tried=frozenset(self._registry.tried),
-            id_writes=tuple(self._registry.id_writes.values()))
+            id_writes=self._registry.report_id_writes() if self._registry.id_writes else ())
 
     def _scanned(self) -> tuple[int, ...]:
         """Return the IDs that were only pinged and never heard: many are a scan, no devices."""

@@ -70,8 +70,8 @@ class Device:
     silent device in front of it in a group read |
     | error_bits | DeviceRegistry.store_error_bits() |
     | last_error, asked_first, latency, latency_resolved | Tracker, with an answer |
-    | registered, registered_times, registered_ns, moved_to | DeviceRegistry: a Reg Write before \
-    its Action; the baud rate that was written, in words |
+    | registered, replaced, moved_to | DeviceRegistry: a Reg Write before its Action; how many to \
+    the same register before it; the baud rate that was written, in words |
     | used | record_use(): what a program reads and writes of it while its model is unknown |
     | table, counts, errors, snapshots, place | all who store or count; place: Present Position \
     as it was some time after the last report |
@@ -90,7 +90,7 @@ class Device:
         self.model_number: int | None = None
         self.firmware: int | None = None
         self.registered: tuple[int, bytes, bool] | None = None  # for DeviceRegistry.write()
-        self.registered_times = self.registered_ns = 0    # since the last Action; of the first
+        self.replaced = 0                          # so many of them in a row
         self.moved_to = ''
         self.used: set[Use] = set()
         self.waiting_behind: int | None = None
@@ -281,9 +281,7 @@ def report_device(device: Device, now: int, quiet_s: float) -> tuple[DeviceRepor
         last_error=device.error_words, status_return_level=device.return_level,
         acks=device.acks, acks_missing=device.acks_missing, observed=(), unobserved=0,
         latency=device.latency_report(now), errors=dict(device.errors), expected=device.expected,
-        moved_to=device.moved_to, quiet_s=quiet_s, place=place,
-        registered=device.registered_times, registered_s=(now - device.registered_ns) / 1e9,
-    ), device.table.copy()
+        moved_to=device.moved_to, quiet_s=quiet_s, place=place), device.table.copy()
 
 
 @lru_cache(maxsize=256)

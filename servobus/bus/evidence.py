@@ -152,6 +152,7 @@ OPEN = IncidentKind[Code]('undecided packet')                 # an instruction o
 CALIBRATED = IncidentKind[Nothing]('calibrated')              # the position became the middle
 OFFSET_WRITTEN = IncidentKind[Offsets]('offset written')       # Homing Offset of Feetech
 REBOOTED = IncidentKind[Nothing]('rebooted')
+REPLACED = IncidentKind[Count]('Reg Write replaced')     # in a row, before an Action
 ACKS_STOPPED = IncidentKind[Count]('acks stopped')
 UNKNOWN_INSTRUCTION = IncidentKind[Code]('unknown instruction')
 MALFORMED = IncidentKind[PacketHeader]('malformed')                  # length: parameter bytes

@@ -112,8 +112,6 @@ class DeviceRegistry:
 
     def accept_status(self, device: Device, error: int, stamp: int) -> None:
         """Take any status as a sign of life; error is its error byte, alert bit included."""
-        if device.number in self._renamed:
-            self._note_old_id(device.number, stamp)
         if device.missed_in_a_row:
             silence_ms = (stamp - device.heard) // 1_000_000
             if device.heard and silence_ms >= ABSENCE_MS:
@@ -266,23 +264,26 @@ class DeviceRegistry:
     def register(self, device: Device, address: int, data: bytes, stamp: int,
                  alone: bool = True) -> None:
         """Keep a Reg Write until its Action."""
+        is_again = device.registered is not None and device.registered[0] == address
+        device.replaced = device.replaced + 1 if is_again else 0
+        if is_again:
+            self._evidence.add_incident(stamp, ev.REPLACED, device.number,
+                                        ev.Count(device.replaced))
         device.registered = address, data, alone
-        device.registered_ns = device.registered_ns if device.registered_times else stamp
-        device.registered_times += 1
 
     def write_registered(self, device: Device, stamp: int) -> None:
         """Carry out the registered write, at an Action."""
         if device.registered is not None:
             address, data, alone = device.registered
             self.write(device, address, data, stamp, alone)
-            device.registered, device.registered_times = None, 0
+            device.registered = None
 
     def reboot(self, device: Device, stamp: int) -> None:
         """Forget what a device loses when it restarts."""
         self._evidence.add_incident(stamp, ev.REBOOTED, device.number, ev.NOTHING)
         self.resolve(device)
         device.table.forget('ram', device.model)
-        device.registered, device.registered_times = None, 0
+        device.registered = None
 
     def factory_reset(self, device: Device, option: str, stamp: int) -> None:
         """Forget what a Factory Reset changes; with 'all' the ID becomes 1."""
@@ -319,35 +320,35 @@ class DeviceRegistry:
         is_kept = field is not None and field.memory == 'eeprom'
         device.counts.eeprom_writes += is_kept
         lock = device.model.by_name.get('Lock')
-        self._note_new_id(device, address, data, stamp)
+        if field is None and address in _ID_AT[device.protocol]:
+            self._note_new_id(device, data, stamp)
         is_locked = is_kept and lock is not None and device.table.byte(lock.at) == 1
         for name, value in device.special_values(address, data):
+            if name == 'ID' and value != device.number:
+                self._note_new_id(device, data[device.model.by_name['ID'].at - address:], stamp)
             if alone or name != 'ID':
                 self._followers[name](device, value, stamp)
         if is_locked:
             self._evidence.add_incident(stamp, ev.LOCKED, device.number, ev.Written(address))
 
-    def _note_new_id(self, device: Device, address: int, data: bytes, stamp: int) -> None:
-        """Keep an ID that is written, also where the model of the device is not known."""
-        field = device.model.by_name.get('ID')
-        at = 0 if field is None and address in _ID_AT[device.protocol] else \
-            -1 if field is None else field.at - address
-        if not 0 <= at < len(data) or not device.heard \
-                or not device.number != (number := data[at]) <= self.highest:
+    def _note_new_id(self, device: Device, data: bytes, stamp: int) -> None:
+        """Keep that a device got another ID, the first of these bytes."""
+        number, stamp = data[0], max(stamp, device.heard)      # that of its acknowledgement
+        if not device.heard or not device.number != number <= self.highest:
             return
         self.id_writes.pop(device.number, None)
         before = self.id_writes.get(number)
         ids = before.ids if before is not None and before.stamp == stamp else ()
-        baud = data[at + 1] if at + 1 < len(data) else -1
+        baud = data[1] if len(data) > 1 else -1
         self.id_writes[number] = IdWrite(number, (*ids, device.number), stamp, baud)
-        self._renamed[device.number] = number
-        device.is_unusual = True
 
-    def _note_old_id(self, number: int, stamp: int) -> None:
-        """Note that a device answers to the ID that it had before."""
-        one = self.id_writes.get(self._renamed[number])
-        if one is not None and not one.back and stamp > one.stamp:
-            self.id_writes[one.number] = one._replace(back=stamp)
+    def report_id_writes(self) -> tuple[IdWrite, ...]:
+        """Return the last write of each new ID; an old ID may have answered since."""
+        for one in self.id_writes.values():
+            heard = [device.heard for number in one.ids if (device := self.devices.get(number))]
+            if not one.back and max(heard, default=0) > one.stamp:
+                self.id_writes[one.number] = one._replace(back=max(heard))
+        return tuple(self.id_writes.values())
 
     def _follow_baud(self, device: Device, value: int, stamp: int) -> None:
         self._evidence.add_incident(stamp, ev.BAUD_WRITTEN, device.number, ev.Written(value))

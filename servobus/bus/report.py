@@ -222,8 +222,6 @@ class DeviceReport(NamedTuple):
     expected: bool = False         # listed in `devices`
     moved_to: str = ''             # the baud rate or ID that was written to it, in words
     quiet_s: float = 0.0           # neither heard nor asked for so long, while the port was open
-    registered: int = 0            # Reg Writes since its last Action
-    registered_s: float = 0.0      # age of the first of them
     place: bytes | None = None     # Present Position, some time after the report before
 
 

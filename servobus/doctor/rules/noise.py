@@ -28,8 +28,8 @@ from msg_defs.units import NS_PER_S
 from servobus.bus import evidence as ev
 from servobus.bus import report as words
 from servobus.bus.report import DeviceReport
+from servobus.doctor.bit_errors import cut_packets
 from servobus.doctor.bit_errors import expected_packets
-from servobus.doctor.bit_errors import is_whole_without
 from servobus.doctor.case import Case
 from servobus.doctor.facts import is_collision
 from servobus.doctor.facts import is_overlaid
@@ -543,7 +543,8 @@ def turnaround(case: Case) -> Claims:
 
     Do: raise Return Delay Time by 2 to 4 us.
     """
-    for number, (lost, count) in _first_bytes_lost(case).items():
+    cut = _first_bytes_lost(case) if case.spoilt >= INCIDENTS_MIN else {}
+    for number, (lost, count) in cut.items() if cut else ():
         yield Claim(f'the first {lost} bytes of its answers are missing, the rest is whole: the '
                     'adapter switches to receive too late; raise its Return Delay Time, or '
                     'switch earlier', {'answers': count}, device=number)
@@ -577,22 +578,17 @@ def turnaround(case: Case) -> Claims:
 
 def _first_bytes_lost(case: Case) -> dict[int, tuple[int, int]]:
     """Return how many first bytes the damaged answers of devices lack, if all the same; times."""
-    noise, found = case.report.noise, Counter[tuple[int, int]]()
-    shapes = expected_packets(case.report) if case.spoilt >= INCIDENTS_MIN else ()
-    at = explained = 0
-    while at < len(noise) and shapes:
-        shape, lost = next(((one, lost) for one in shapes for lost in range(2, len(one.known))
-                            if is_whole_without(one, lost, noise[at:])), (None, 1))
-        if shape is not None:
-            found[shape.device, lost] += 1
-            explained += shape.size - lost
-        at += 1 if shape is None else shape.size - lost
-    if explained < CUT_MIN_SHARE * len(noise):
+    noise = case.report.noise
+    if FAMILY_HEADER in noise:         # then a header is whole
         return {}
-    sizes = dict(found)
-    return {number: (lost, count) for (number, lost), count in sizes.items()
-            if count >= INCIDENTS_MIN and count >= CUT_MIN_SHARE * sum(
-                times for (other, _), times in sizes.items() if other == number)}
+    found = cut_packets(noise, tuple([one for one in expected_packets(case.report)
+                                      if case.by_id[one.device].window.spoilt]))
+    explained = sum(shape.size - lost for shape, lost in found)
+    times = Counter([(shape.device, lost) for shape, lost in found])
+    of_device = Counter([shape.device for shape, _ in found])
+    return {number: (lost, count) for (number, lost), count in times.items()
+            if explained >= CUT_MIN_SHARE * len(noise) and count >= INCIDENTS_MIN
+            and count >= CUT_MIN_SHARE * of_device[number]}
 
 
 def _first_bytes_by_chance(damaged: int) -> float:

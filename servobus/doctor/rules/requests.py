@@ -74,7 +74,6 @@ TWIN_MIN_FACTOR = 1.5              # two answer twice as often as one
 NO_IDS = (0xFD, 0xFF)
 _NO_ID = ', which no device can have (0 to 252): correct the ID in its program'
 SENT_MIN_BYTES = 30                # three packets
-UNUSED_MIN_S = 2.0                 # since the first: one Action for several comes by then
 SCAN_MIN_PINGS = 15                # broadcast Pings in 10 s: each needs 0.8 s
 SCAN_MIN_SHARE = 0.7               # share of the instructions
 FAST_READS = (Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ)
@@ -624,16 +623,18 @@ def never_written(case: Case, device: DeviceReport) -> Found | None:
 @Rule(accounts_for={'joint at rest'})
 def no_action(case: Case) -> Claims:
     """
-    Reg Writes, and no Action after them.
+    Reg Writes, one after the other, and no Action after them.
 
     Do: send Action to it, or to all (ID 254).
     """
-    for device in case.devices:
-        if device.registered >= INCIDENTS_MIN and device.registered_s > UNUSED_MIN_S \
-                and device.window.answers:
-            yield Claim('Reg Writes wait for an Action that does not come: send Action to it, '
-                        f'or to all (ID {BROADCAST})', {'Reg Writes': device.registered},
-                        device=device.id)
+    if ev.REPLACED not in case.incidents_by_kind:
+        return
+    replaced = {one.device: one.detail.number for one in case.incidents(ev.REPLACED)}
+    for number, times in replaced.items():
+        if times >= INCIDENTS_MIN:
+            yield Claim('Reg Writes wait for an Action that does not come: send Action to it, or '
+                        f'to all (ID {BROADCAST})', {'Reg Writes without one': times + 1},
+                        device=number)
 
 
 # --- reads of several devices at once ------------------------------------------------------------
