@@ -31,6 +31,7 @@ from servobus.bus.report import DeviceReport
 from servobus.doctor.bit_errors import cut_packets
 from servobus.doctor.bit_errors import expected_packets
 from servobus.doctor.case import Case
+from servobus.doctor.facts import gives_up_at_once
 from servobus.doctor.facts import is_collision
 from servobus.doctor.facts import is_overlaid
 from servobus.doctor.facts import may_overlap
@@ -130,7 +131,7 @@ def wrong_baud(case: Case) -> Claims:
             and all(device.last_heard_s is None for device in report.devices):
         got, good, rate_of = got - good, 0, 'the rate of the program'    # what that sends is whole
     if not report.is_answered or got < max(WRONG_BAUD_MIN_BYTES, good / PACKETS_BY_CHANCE) \
-            or case.count(ev.PROTOCOL_1):
+            or case.count(ev.PROTOCOL_1) or gives_up_at_once(case):
         return
     rate = likely_rate(report.noise, report.baud)
     remedy = f'the bytes look like {rate} Bd: set {rate_of} to it' if rate else \
