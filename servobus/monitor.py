@@ -383,7 +383,8 @@ class Monitor:
             line_mode=self.decoder.line_mode, users=self._users,
             is_over=self._failed is not None, failed=self._failed or '',
             chain=tuple(expected.id for expected in self.settings.devices),
-            tried=frozenset(self._registry.tried))
+            tried=frozenset(self._registry.tried),
+            id_writes=self._registry.report_id_writes() if self._registry.id_writes else ())
 
     def _scanned(self) -> tuple[int, ...]:
         """Return the IDs that were only pinged and never heard: many are a scan, no devices."""

@@ -17,6 +17,7 @@ from servobus.bus.report import BusReport
 from servobus.bus.report import Counts
 from servobus.bus.report import Cycle
 from servobus.bus.report import DeviceReport
+from servobus.bus.report import IdWrite
 from servobus.bus.report import Incident
 from servobus.bus.report import ReplyLatency
 from servobus.bus.report import Wait
@@ -97,6 +98,8 @@ def case(*devices, notes=(), counters=None, marks=None, samples=None, repeats=No
         {number: deque(some) for number, some in (samples or {}).items()}, repeats or {},
         rhythms or [], steady or set(), loop=loop[0], late=loop[1])
     found.quiet_s, found.run_from, found.turned = quiet_s, told.started, {*turned}
+    found.highest = {number: max([one.voltage or 0.0 for one in some], default=0.0)
+                     for number, some in found.samples.items()}
     return found
 
 
@@ -194,6 +197,11 @@ def _waits(us, device=1, times=1, ago_s=0.0, spoilt=False, asks='READ'):
     return [Wait(NOW - int(ago_s * S), us, device, spoilt, I[asks])] * times
 
 
+def _id_write(number, ids, ago_s, baud=-1, back_s=None):
+    return IdWrite(number, tuple(ids), NOW - int(ago_s * S), baud,
+                   0 if back_s is None else NOW - int(back_s * S))
+
+
 def _sample(ago_s, *values):
     return Sample(NOW - int(ago_s * S), *[*values, None, None, None, None][:5])
 
@@ -210,6 +218,7 @@ _READ = {
     'notes': lambda rows: [one for row in rows for one in notes_of(**row)],
     'cycles': lambda rows: tuple(one for row in rows for one in _cycles(**row)),
     'noise': bytes.fromhex,
+    'id_writes': lambda rows: tuple(_id_write(**row) for row in rows),
     'loop': lambda of: _loop(**of),
     'waits': lambda rows: tuple(one for row in rows for one in _waits(**row)),
     'samples': lambda of: {number: [_sample(*row) for row in rows]

@@ -60,7 +60,7 @@ def test_a_bus_is_judged_while_there_are_bytes(last_byte_s, is_judged):
 
 def test_the_states_end_with_the_state():
     assert {one.name for one in RULES if not one.holds} == {
-        'baud_moved', 'id_moved', 'hardware_error', 'all_silent', 'broken_cable',
+        'baud_moved', 'id_moved', 'id_write', 'hardware_error', 'all_silent', 'broken_cable',
         'sync_read_stops', 'no_answer', 'master_stopped', 'scan', 'no_acks'}
     assert {one.name: one.onset_s for one in RULES if one.onset_s} == {
         'two_masters': 1.0, 'jitter': 3.0, 'damaged_answers': 1.0, 'wrong_supply': 3.0,

@@ -45,6 +45,7 @@ _SPECIAL = ('ID', 'Baud Rate', RETURN_LEVEL)
 _CALIBRATING = (OFFSET, TORQUE)     # how it is calibrated
 _USES_KEPT = 64
 _REPLY_SPREAD_NS = 3_000_000             # by Return Delay Time 0.5 ms, and as much as USB adds
+ID_END = 9                         # where ID and Baud Rate end in a table that is not known
 _NUMBER_SIZE = 2                   # bytes: Model Number
 
 
@@ -70,8 +71,8 @@ class Device:
     silent device in front of it in a group read |
     | error_bits | DeviceRegistry.store_error_bits() |
     | last_error, asked_first, latency, latency_resolved | Tracker, with an answer |
-    | registered, moved_to | DeviceRegistry: a Reg Write before its Action; the baud rate that \
-    was written, in words |
+    | registered, replaced, moved_to | DeviceRegistry: a Reg Write before its Action; how many to \
+    the same register before it; the baud rate that was written, in words |
     | used | record_use(): what a program reads and writes of it while its model is unknown |
     | table, counts, errors, snapshots, place | all who store or count; place: Present Position \
     as it was some time after the last report |
@@ -90,6 +91,7 @@ class Device:
         self.model_number: int | None = None
         self.firmware: int | None = None
         self.registered: tuple[int, bytes, bool] | None = None  # for DeviceRegistry.write()
+        self.replaced = 0                          # so many of them in a row
         self.moved_to = ''
         self.used: set[Use] = set()
         self.waiting_behind: int | None = None
@@ -300,7 +302,7 @@ def _special_of(model: Model) -> tuple[list[Field], int, int]:
     ends += [field.end for field in model.fields
              if field.memory == 'eeprom' and 'w' in field.access]
     level_at = next((field.at for field in special if field.name == RETURN_LEVEL), -1)
-    return special, max(ends, default=0), level_at
+    return special, max(ends, default=ID_END), level_at
 
 
 def _special_value(field: Field, raw: bytes) -> int:

@@ -150,6 +150,7 @@ OPEN = IncidentKind('undecided packet', Code)                 # an instruction o
 CALIBRATED = IncidentKind('calibrated', Nothing)              # the position became the middle
 OFFSET_WRITTEN = IncidentKind('offset written', Offsets)       # Homing Offset of Feetech
 REBOOTED = IncidentKind('rebooted', Nothing)
+REPLACED = IncidentKind('Reg Write replaced', Count)     # in a row, before an Action
 ACKS_STOPPED = IncidentKind('acks stopped', Count)
 UNKNOWN_INSTRUCTION = IncidentKind('unknown instruction', Code)
 MALFORMED = IncidentKind('malformed', PacketHeader)                  # length: parameter bytes

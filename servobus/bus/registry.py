@@ -28,6 +28,7 @@ from servobus.bus.evidence import Evidence
 from servobus.bus.expected import Expected
 from servobus.bus.expected import MAX_ID
 from servobus.bus.plan import Effect
+from servobus.bus.report import IdWrite
 from servobus.bus.report import NEW_ID
 from servobus.bus.table import IDENTITY
 from servobus.bus.table import NO_SPAN
@@ -50,6 +51,8 @@ _RESET_KEEPS: dict[str, tuple[str, ...]] = {
     '': ('ID', 'Baud Rate'),
 }
 _CALIBRATED = (PLACE, OFFSET)
+# Where a device of unknown model has its ID, by its protocol; the Baud Rate comes after it.
+_ID_AT = {'2': (7,), '1': (3,), 'feetech': (5,), '1 or feetech': (3, 5)}
 _DIALECTS = {dialect.protocol: dialect for dialect in DIALECTS}
 _CLEARS = {MULTI_TURN: PLACE, ERROR: 'Hardware Error Status'}
 
@@ -75,6 +78,7 @@ class DeviceRegistry:
         self._dummy = Device(NO_ID)        # takes what is sent to an ID that no device can have
         self.plans_hold = True
         self.new_ids: set[int] = set()
+        self.id_writes: dict[int, IdWrite] = {}     # by the new ID
         self._followers = {'ID': self.renumber, 'Baud Rate': self._follow_baud,
                            RETURN_LEVEL: lambda device, level, _: device.set_return_level(level),
                            OFFSET: self._follow_offset, TORQUE: self._follow_torque}
@@ -257,6 +261,11 @@ class DeviceRegistry:
     def register(self, device: Device, address: int, data: bytes, stamp: int,
                  alone: bool = True) -> None:
         """Keep a Reg Write until its Action."""
+        is_again = device.registered is not None and device.registered[0] == address
+        device.replaced = device.replaced + 1 if is_again else 0
+        if is_again:
+            self._evidence.add_incident(stamp, ev.REPLACED, device.number,
+                                        device.replaced)
         device.registered = address, data, alone
 
     def write_registered(self, device: Device, stamp: int) -> None:
@@ -307,12 +316,35 @@ class DeviceRegistry:
         field = device.model.by_address.get(address)
         is_kept = field is not None and field.memory == 'eeprom'
         device.counts.eeprom_writes += is_kept
+        if field is None and address in _ID_AT[device.protocol]:
+            self._note_new_id(device, data, stamp)
         is_locked = is_kept and 'Lock' in device.model.by_name and device.seen_code('Lock') == 1
         for name, value in device.special_values(address, data):
+            if name == 'ID' and value != device.number:
+                self._note_new_id(device, data[device.model.by_name['ID'].at - address:], stamp)
             if alone or name != 'ID':
                 self._followers[name](device, value, stamp)
         if is_locked:
             self._evidence.add_incident(stamp, ev.LOCKED, device.number, address)
+
+    def _note_new_id(self, device: Device, data: bytes, stamp: int) -> None:
+        """Keep that a device got another ID, the first of these bytes."""
+        number, stamp = data[0], max(stamp, device.heard)      # that of its acknowledgement
+        if not device.heard or not device.number != number <= self.highest:
+            return
+        self.id_writes.pop(device.number, None)
+        before = self.id_writes.get(number)
+        ids = before.ids if before is not None and before.stamp == stamp else ()
+        baud = data[1] if len(data) > 1 else -1
+        self.id_writes[number] = IdWrite(number, (*ids, device.number), stamp, baud)
+
+    def report_id_writes(self) -> tuple[IdWrite, ...]:
+        """Return the last write of each new ID; an old ID may have answered since."""
+        for one in self.id_writes.values():
+            heard = [device.heard for number in one.ids if (device := self.devices.get(number))]
+            if not one.back and max(heard, default=0) > one.stamp:
+                self.id_writes[one.number] = one._replace(back=max(heard))
+        return tuple(self.id_writes.values())
 
     def _follow_baud(self, device: Device, value: int, stamp: int) -> None:
         self._evidence.add_incident(stamp, ev.BAUD_WRITTEN, device.number, value)

@@ -282,6 +282,16 @@ class LineErrors(NamedTuple):
         return LineErrors(*(max(0, now - then) for now, then in zip(self, begin, strict=True)))
 
 
+class IdWrite(NamedTuple):
+    """An ID that was written, to the devices that had these IDs."""
+
+    number: int                    # the new one
+    ids: tuple[int, ...]
+    stamp: int
+    baud: int                      # the code of Baud Rate, which the same write reached; or -1
+    back: int = 0                  # stamp of the first answer since by one of the old IDs
+
+
 class BusReport(NamedTuple):
     """
     One bus at one moment.
@@ -315,6 +325,7 @@ class BusReport(NamedTuple):
     chain: tuple[int, ...] = ()                 # the IDs of `devices`, in the order of the cable
     has_sides: bool = False                     # TX and RX of the master are known apart
     is_over: bool = False                       # the program that asks has ended
+    id_writes: tuple[IdWrite, ...] = ()         # the last of each new ID
     tried: frozenset[int] = frozenset()         # baud rates of the master, one after the other
     is_answered: bool = True                    # something came to the master, as far as known
     line_mode: int = 0                          # as LINE_MODE says of the program's port

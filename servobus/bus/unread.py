@@ -216,8 +216,11 @@ class UnreadAnswers:
         else:
             event = NOT_READ if self._purged_ns < question.asked else NOT_READ_PURGED
             waited, slot = now - question.asked, question.due[0]
-            if waited < self._registry.byte_ns * (STATUS_OVERHEAD_1 + slot.size):  # it is too soon
-                self._evidence.add_wait(Wait(now, waited // 1000, slot.device.number, False))
+            # No answer is over sooner.
+            least = self._registry.byte_ns * (STATUS_OVERHEAD_1 + slot.size)
+            if waited < (least if slot.due is Due.ACK else max(least, NO_WAIT_NS)):
+                self._evidence.add_wait(Wait(now, waited // 1000, slot.device.number, False,
+                                             question.plan.request.instruction))
         state = NEXT[PENDING][event]
         if state == MISSED:
             return True

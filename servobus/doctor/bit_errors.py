@@ -11,6 +11,7 @@ says is evidence of a finding, worded as "looks like", and nothing where it is n
 from __future__ import annotations
 
 from collections import Counter
+from collections import defaultdict
 from collections.abc import Iterable
 from collections.abc import Sequence
 from functools import lru_cache
@@ -199,6 +200,28 @@ def _one_flip_1(got: bytes) -> WrongBit | None:
         if off in (1 << bit, 256 - (1 << bit)):
             return WrongBit(-1, bit, off == 1 << bit, None)
     return None
+
+
+@lru_cache(maxsize=1)              # it is asked at each report
+def cut_packets(noise: bytes, due: tuple[ExpectedPacket, ...]) -> list[tuple[ExpectedPacket, int]]:
+    """Return the packets in the noise that lack only their first bytes, and how many of these."""
+    by_first = defaultdict[int, list[tuple[ExpectedPacket, int]]](list)
+    for shape in due:
+        for lost in range(2, len(shape.known)):
+            by_first[shape.known[lost]].append((shape, lost))
+    found, at = [], 0
+    while at < len(noise):
+        one = next(((shape, lost) for shape, lost in by_first.get(noise[at], ())
+                    if _is_whole_without(shape, lost, noise[at:])), None)
+        at += 1 if one is None else one[0].size - one[1]
+        found += [] if one is None else [one]
+    return found
+
+
+def _is_whole_without(shape: ExpectedPacket, lost: int, got: bytes) -> bool:
+    packet = shape.known[:lost] + got[:shape.size - lost]
+    return len(packet) == shape.size and packet.startswith(shape.known) \
+        and not _syndrome(packet, shape.known.startswith(HEADER))
 
 
 # --- what it looks like ------------------------------------------------------------------------

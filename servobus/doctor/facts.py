@@ -16,6 +16,7 @@ from math import inf
 from math import isclose
 from math import tau
 from operator import sub
+from statistics import median
 from typing import NamedTuple
 
 from msg_defs.dxl_instruction import Instruction
@@ -38,6 +39,7 @@ from servobus.doctor.bit_errors import packet_of
 from servobus.doctor.bit_errors import TWO_SENDERS
 from servobus.doctor.bit_errors import wrong_bits
 from servobus.doctor.case import Case
+from servobus.doctor.rhythm import WRITES
 from servobus.doctor.thresholds import INCIDENTS_MIN
 from servobus.doctor.thresholds import TURN_STEPS
 from servobus.model.control_table import Field
@@ -48,6 +50,10 @@ SAME_DELAY_NS = 3 * NS_PER_MS       # late answers closer than this were delayed
 ALIVE_MIN_VOLTS = 1.0              # a device with less does not answer: the register is not it
 WATCHED_EVERY_NS = NS_PER_S // 2   # rarer reads are of a program that waits for a motion's end
 PROGRAM_RATES_MAX = 3              # a program sets two and that of the port; more are a search
+WAITS_WINDOW_S = 3.0               # a master that waits in vain now
+HASTY_MIN_WAITS = 10               # fewer are those of damage
+HASTY_MIN_SHARE = 0.7              # share of the vain waits
+FACTORY_DELAY_US = 500             # Return Delay Time as from the factory (e-Manual)
 SUPPLY = 'Present Input Voltage', 'Min Voltage Limit', 'Max Voltage Limit'
 SINGLE_WRITES = (Instruction.WRITE, Instruction.REG_WRITE)
 # Error numbers of a status (e-Manual, Protocol 2.0).
@@ -163,6 +169,16 @@ def fatal_late_answer(case: Case) -> Incident[ev.Lateness] | None:
         if last is None else [last.stamp - 1000 * last.us]
     return next((one for one in case.incidents(ev.LATE) if case.failed
                  and asked and one.stamp > asked[-1]), None)
+
+
+def gives_up_at_once(case: Case) -> int:
+    """Return how many of the last waits ended before any answer could come, 0 if not most."""
+    waits = case.waits(WAITS_WINDOW_S)
+    hasty = [one.us for one in waits if not one.is_spoilt and one.instruction not in WRITES]
+    if len(hasty) < HASTY_MIN_WAITS or (
+            case.has_sides and len(hasty) < HASTY_MIN_SHARE * len(waits)):
+        return 0
+    return len(hasty) if median(hasty) < FACTORY_DELAY_US else 0
 
 
 def first_of_groups(incidents: list[Incident[D]]) -> list[Incident[D]]:

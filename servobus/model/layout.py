@@ -18,6 +18,7 @@ from math import pi
 import re
 
 from servobus.model.control_table import Field
+from servobus.model.control_table import Indirect
 from servobus.model.control_table import Model
 from servobus.model.control_table import UNKNOWN
 from servobus.model.control_table import Value
@@ -27,7 +28,7 @@ from servobus.model.robotis_file import SUFFIX
 Use = tuple[int, int]              # address and size of what a program reads or writes
 
 REGISTERS_NEEDED = 3  # different registers, Torque Enable or a goal among them; or both positions
-USE_MAX_BYTES = 16                       # bytes: a longer read takes all there is, gaps too
+USE_MAX_BYTES = 24                       # bytes: a longer read takes all there is, gaps too
 NOWHERE = (-1, 1)                  # a use that no table has
 # Uses only of numbers that make sense in this order of bytes: of positions, and of goals, which
 # a program may send wrongly.
@@ -42,7 +43,8 @@ _NAMED_SERIES = 4                  # more are "several"
 # series that are known may well be something different in one that is not.
 _COMMON = ('Torque Enable', 'Goal Position', 'Goal Velocity', 'Present Position',
            'Present Velocity', 'Present Load', 'Present Input Voltage', 'Present Temperature',
-           'Hardware Error Status', 'Lock', 'ID', 'Baud Rate')
+           'Hardware Error Status', 'Min Voltage Limit', 'Max Voltage Limit', 'Lock', 'ID',
+           'Baud Rate')
 _BASIC = ('ID', 'Baud Rate', 'Lock')
 # These too where the program uses just them, and they are the same in all tables that are left.
 _WHERE_USED = ('Min Position Limit', 'Max Position Limit', 'CW Angle Limit', 'CCW Angle Limit',
@@ -112,7 +114,15 @@ def agreed_model(tables: Iterable[Model], used: Collection[Use]) -> Model:
         return UNKNOWN
     name = 'several series' if len(series) > _NAMED_SERIES or not is_enough else \
         names.pop() if len(names) == 1 else f'the {_listed(series)} series'
-    return Model(None, name, tuple(fields), protocol=first.protocol)
+    return Model(None, name, tuple(fields), protocol=first.protocol,
+                 indirect=tuple(_agreed_indirect(fits)))
+
+
+def _agreed_indirect(tables: Iterable[Model]) -> list[Indirect]:
+    """Return the indirect data that all tables have at the same place."""
+    areas = [{(one.address, one.data): one.size for one in table.indirect} for table in tables]
+    return [Indirect(*place, min(area[place] for area in areas)) for place in areas[0]
+            if all(place in area for area in areas)]
 
 
 def _is_eeprom(table: Model, at: int, size: int) -> bool:

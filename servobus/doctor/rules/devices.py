@@ -12,6 +12,7 @@ from servobus.bus import evidence as ev
 from servobus.bus import report as words
 from servobus.bus.report import DeviceReport
 from servobus.doctor.case import Case
+from servobus.doctor.case import Sample
 from servobus.doctor.case import SIGN_BIT
 from servobus.doctor.facts import ALIVE_MIN_VOLTS
 from servobus.doctor.facts import is_of_one_turn
@@ -31,8 +32,11 @@ from servobus.doctor.rule import Doubt
 from servobus.doctor.rule import first_ids
 from servobus.doctor.rule import Found
 from servobus.doctor.rule import Rule
+from servobus.doctor.thresholds import DIP_MAX_SHARE
 from servobus.doctor.thresholds import GOAL_FAR_STEPS
 from servobus.doctor.thresholds import INCIDENTS_MIN
+from servobus.doctor.thresholds import STILL_MAX_STEPS
+from servobus.doctor.thresholds import STILL_MIN_REPORTS
 from servobus.doctor.thresholds import SUPPLY_MIN_DEVICES
 from servobus.doctor.thresholds import TURN_STEPS
 from servobus.doctor.thresholds import WINDOW_S
@@ -55,6 +59,7 @@ _REMEDIES = {
                    'on, its sensor is broken',
     'overload': _FREE_IT,
     'current': _FREE_IT}
+_LATCHED = 'an error is latched'
 _OF_SUPPLY = 'voltage'     # ends the name of the first bit of the 1.0 family where it is alone
 AT_ZERO_MAX = 1                    # as another register reads, or a dead sensor
 ZERO_MIN_REPORTS = 8               # 4 s: a joint goes there, and does not stay through far goals
@@ -65,7 +70,7 @@ _ERRORS = ('Hardware Error Status', 'Error Code')
 
 @Rule(level=Level.ERROR, holds=False,
       symptoms={'error bits'})
-def hardware_error(_: Case, device: DeviceReport) -> Found | None:
+def hardware_error(case: Case, device: DeviceReport) -> Found | None:
     """
     The alert bit; WARN until Hardware Error Status is read.
 
@@ -73,7 +78,26 @@ def hardware_error(_: Case, device: DeviceReport) -> Found | None:
 
     Do: remove the cause, then Reboot (Dynamixel 2.0).
     """
-    return None if device.last_error.endswith(_OF_SUPPLY) else latched_error(device)
+    found = None if device.last_error.endswith(_OF_SUPPLY) else latched_error(device)
+    if found is None or found.level is not Level.WARN or device.id not in case.samples:
+        return found
+    likely = _likely_error(case.highest.get(device.id, 0.0), [*case.samples[device.id]])
+    return found._replace(message=found.message.replace(_LATCHED, f'{_LATCHED}{likely}'))
+
+
+def _likely_error(highest: float, samples: list[Sample]) -> str:
+    """Return what the error of a device with an alert is by its registers, '' if unknown."""
+    volts = [one.voltage for one in samples if one.voltage]
+    if volts and min(volts) < DIP_MAX_SHARE * highest:
+        return ', likely Input Voltage: its supply falls when joints move; use a stronger one'
+    recent = samples[-STILL_MIN_REPORTS:]
+    ways = [one.goal - one.position for one in recent
+            if one.goal is not None and one.position is not None]
+    if len(ways) < STILL_MIN_REPORTS or span([one.position for one in recent]) > STILL_MAX_STEPS \
+            or not min(ways) < -GOAL_FAR_STEPS < GOAL_FAR_STEPS < max(ways):
+        return ''
+    return (', likely Overload: its torque is off, as it ignores goals on both sides; free the '
+            'joint or limit its current')
 
 
 def latched_error(device: DeviceReport) -> Claim | None:
@@ -93,7 +117,7 @@ def latched_error(device: DeviceReport) -> Claim | None:
     seen = next((values[name] for name in _ERRORS
                  if name in values and values[name].value.raw), None)
     if seen is None:
-        return Claim(f'alert in its answers{torque}: an error is latched; read '
+        return Claim(f'alert in its answers{torque}: {_LATCHED}; read '
                      'Hardware Error Status, then reboot it', figures, Level.WARN,
                      device=device.id, rests_on=(ANSWER,))
     return Claim(f'{seen.value.text} error latched{torque}: remove the cause, then '
@@ -165,7 +189,7 @@ def voltage(case: Case) -> Claims:
     Do: charge the battery, use thicker cables.
     """
     unknown, pinged = [], []
-    found = []
+    found, sides = [], {}
     for device in case.devices:
         error = latched_error(device) if device.last_error.endswith(_OF_SUPPLY) else None
         # An error bit of now says more than a value of then.
@@ -181,10 +205,12 @@ def voltage(case: Case) -> Claims:
         if low is None and high is None and not error and device.model.number is not None:
             unknown.append(device.id)
         if low is not None and volts < low + NEAR_VOLTS:
+            sides[f'below its limit of {low:.1f} V'] = device.id
             found.append(_supply_claim(
                 device, volts, volts < low, f'below its limit of {low:.1f} V{source}: charge the '
                 'battery, check cable gauge and the load on the chain'))
         elif high is not None and volts > high - NEAR_VOLTS:
+            sides[f'above its limit of {high:.1f} V'] = device.id
             found.append(_supply_claim(
                 device, volts, volts > high, f'above its limit of {high:.1f} V{source}: lower the '
                 'supply voltage, or use a supply that takes the braking current'))
@@ -193,7 +219,8 @@ def voltage(case: Case) -> Claims:
     yield from found
     ids = tuple([one.device for one in found if one.device is not None])
     if len(found) >= SUPPLY_MIN_DEVICES:
-        yield Claim(f'{len(found)} devices near or beyond a voltage limit: the supply is '
+        where = f', as {first_ids(sides.values())} {next(iter(sides))}' if len(sides) == 1 else ''
+        yield Claim(f'{len(found)} devices near or beyond a voltage limit{where}: the supply is '
                     'the cause; measure it, and compare it with their labels',
                     {'devices': all_ids(ids)},
                     _level(any(one.level is not Level.WARN for one in found)),

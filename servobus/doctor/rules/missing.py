@@ -47,6 +47,7 @@ from servobus.doctor.rule import Rule
 from servobus.doctor.rule import share
 from servobus.doctor.symptom import SILENCE
 from servobus.doctor.thresholds import ADAPTER_HOLD_US
+from servobus.doctor.thresholds import DIP_MAX_SHARE
 from servobus.doctor.thresholds import GOAL_FAR_STEPS
 from servobus.doctor.thresholds import GONE_S
 from servobus.doctor.thresholds import INCIDENTS_MIN
@@ -57,7 +58,6 @@ from servobus.doctor.thresholds import TURN_STEPS
 from servobus.doctor.thresholds import WINDOW_S
 
 AWAY_MIN_MS = 100                  # shorter than any start; longer than an answer or two lost
-DIP_MAX_SHARE = 0.9                # share of the voltage now: lower before, and the supply sagged
 RETURN_SETTLED_S = 2.0             # by then a restart has shown
 TICK_TURN_S, TICK_SLACK_S = 32.768, 0.5        # Realtime Tick begins at 0 again (e-Manual)
 MISSED_MIN_SHARE = 0.01            # share of its answers; fewer are lost on a healthy bus too
@@ -364,8 +364,8 @@ def _claim_unacknowledged(case: Case) -> Claims:
                 and not (device.id in case.gone and device.totals.data_missed) \
                 and not device.window.spoilt and not device.moved_to:
             says = (f'never heard, and did not acknowledge {device.acks_missing} writes, as '
-                    'others do: check its power, cable and ID, or its Status Return Level if it '
-                    'answers a Ping')
+                    'others do: check its power, cable, ID and baud rate, or its Status Return '
+                    'Level if it answers a Ping')
             yield Claim(says, level=None if failed else Level.WARN, device=device.id) \
                 if failed or (is_over and device.acks_missing > ACKS_MISSED_LIMIT) \
                 else Doubt(says, device.id, f'ping {device.id:03} alone: if it answers, set its '
@@ -417,9 +417,23 @@ def dropout(case: Case, device: DeviceReport) -> Found | None:
     others = [other for other in case.devices if other.id != device.id]
     supply = ', or the supply of all: nothing else was heard either' \
         if others and all(other.window.not_served for other in others) else ''
-    return Claim(f'no answers for {away} ms: a loose plug or a restart{supply}; read Torque '
-                 'Enable or Realtime Tick to find out',
+    after, before = _neighbours(case, device)
+    where = '' if before is None else f' between {before:03} and {device.id:03}'
+    behind = f', and {first_ids(after, 2)} after it not served' if after else ''
+    return Claim(f'no answers for {away} ms{behind}: a loose plug{where} or a restart{supply}; '
+                 'read Torque Enable or Realtime Tick to find out',
                  {'absences': len(absences), 'longest (ms)': away})
+
+
+def _neighbours(case: Case, device: DeviceReport) -> tuple[list[int], int | None]:
+    """Return who got no turn after a device in a group read, and who answered before it."""
+    for cycle in case.cycles:
+        if device.id in cycle.ids[:-1]:
+            at = cycle.ids.index(device.id)
+            after = [one for one in cycle.ids[at + 1:] if case.by_id[one].window.not_served]
+            if after:
+                return after, cycle.ids[at - 1] if at else None
+    return [], None
 
 
 def _absences(case: Case, device: DeviceReport | None = None) -> list[Incident[ev.SilentFor]]:
@@ -453,6 +467,10 @@ def _restart_proof(case: Case, back: Incident[ev.SilentFor]) -> str:
     after = [one for one in samples if one.stamp > back.stamp]
     if before and after and _tick_jumped(before[-1], after[0]):
         return 'Realtime Tick jumped back'
+    heat = case.values[back.device].get('Present Temperature') if after else None
+    if heat is not None and not heat.value.raw and any(one.position for one in before) \
+            and not any(one.position for one in after):
+        return 'position and temperature read 0: its indirect addresses are lost'
     if _does_not_follow(after) and span([one.position for one in before]) >= GOAL_MOVES_STEPS \
             and not _does_not_follow(before) and not case.by_id[back.device].alert:
         return 'no longer follows its goal'

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from functools import lru_cache
 from itertools import takewhile
@@ -27,7 +28,10 @@ from msg_defs.units import NS_PER_S
 from servobus.bus import evidence as ev
 from servobus.bus import report as words
 from servobus.bus.report import DeviceReport
+from servobus.doctor.bit_errors import cut_packets
+from servobus.doctor.bit_errors import expected_packets
 from servobus.doctor.case import Case
+from servobus.doctor.facts import gives_up_at_once
 from servobus.doctor.facts import is_collision
 from servobus.doctor.facts import is_overlaid
 from servobus.doctor.facts import may_overlap
@@ -62,6 +66,7 @@ BOTH_WAYS_MIN_SHARE = 0.2          # share of the damage, in instructions: both 
 DAMAGE_ONSET_S = 1.0               # by then it has shown whether something else does it
 TURNAROUND_MIN_SHARE = 0.01        # share of the answers, with a damaged first byte
 FIRST_BYTE_BY_CHANCE = 1 / 8       # share of damage that hits a first byte by chance
+CUT_MIN_SHARE = 0.9                # share of the noise: nothing else is wrong
 OVERLONG_MIN_ANSWERS = 5            # with bytes after them
 OVERLONG_MIN_SHARE = 0.2            # share of its answers: a second device answers each time
 AGAIN_MIN_SHARE = 0.7              # share of the damage, where its answer comes once more
@@ -90,6 +95,7 @@ _CHARACTERS = rb'\t\n\r\x20-\x7e'
 _TEXT = re.compile(rb'[%b]{%d,}' % (_CHARACTERS, TEXT_MIN_BYTES))
 _OF_WORDS = re.compile(rb'[A-Za-z0-9]')
 _MODEM = re.compile(rb'(?:AT[A-Z0-9+&=?]*[\r\n]+){2}')
+_NMEA = re.compile(rb'\$[A-Z]{5},')        # the begin of a sentence of a GPS receiver
 _LOGIN = re.compile(rb'login:|[Pp]assword:|[#$] $')
 # An answer to one of these shows that power and rate are right.
 _ASKING = {Instruction.PING, Instruction.READ, Instruction.WRITE}
@@ -125,7 +131,7 @@ def wrong_baud(case: Case) -> Claims:
             and all(device.last_heard_s is None for device in report.devices):
         got, good, rate_of = got - good, 0, 'the rate of the program'    # what that sends is whole
     if not report.is_answered or got < max(WRONG_BAUD_MIN_BYTES, good / PACKETS_BY_CHANCE) \
-            or case.count(ev.PROTOCOL_1):
+            or case.count(ev.PROTOCOL_1) or gives_up_at_once(case):
         return
     rate = likely_rate(report.noise, report.baud)
     remedy = f'the bytes look like {rate} Bd: set {rate_of} to it' if rate else \
@@ -172,11 +178,11 @@ def _header_at(ratio: float) -> bytes:
       accounts_for={*TRAFFIC, 'no packets', 'two protocols'})
 def text(case: Case) -> Claims:
     """
-    Text in place of packets: of firmware of the board itself, a login prompt, AT commands.
+    Text in place of packets: of a board's own firmware, a login prompt, a modem, a GPS receiver.
 
     WARN where the program asked, or ended, while the board started.
 
-    Do: switch the board to pass-through; switch the login prompt off; stop ModemManager.
+    Do: pass-through on the board; no login prompt; stop ModemManager; use the right port.
     """
     noise, devices = case.report.noise, case.devices
     if not noise or not case.report.is_answered:
@@ -193,12 +199,15 @@ def text(case: Case) -> Claims:
     if _MODEM.search(noise):
         yield Claim(f'{seen}, the commands of a modem: ModemManager or another program uses the '
                     'port; stop it')
+    elif len(_NMEA.findall(noise)) > 1:
+        yield Claim(f'{seen}, as a GPS receiver sends: this is its port; use that of the servos, '
+                    'by its name in /dev/serial/by-id')
     elif _LOGIN.search(noise):
         yield Claim(f'{seen}: a login prompt has the port; switch that off (on Linux: systemctl '
                     'disable --now serial-getty@PORT)')
     elif goes_on and not answers:
         yield Claim(f'{seen}: the board runs firmware of its own and passes nothing on to the '
-                    'servos; switch it to pass-through')
+                    'servos; switch it to pass-through, unless this is the wrong port')
     elif case.failed or answers:
         yield Claim(f'{seen} while the board starts: wait 2 s after opening the port; if text '
                     'still comes then, switch the board to pass-through',
@@ -274,6 +283,45 @@ def id_moved(case: Case, device: DeviceReport) -> Found | None:
         return None
     return Claim(f'set to {to} by a write, and still asked as '
                  f'{device.id:03}: use the new ID in the program')
+
+
+@Rule(subject='device or bus', level=Level.ERROR, holds=False,
+      accounts_for={*SILENCE, *DAMAGE, 'silent bus', 'changed rate', 'second answers',
+                    'damaged first bytes', 'slow cycle', 'joint at rest'})
+def id_write(case: Case) -> Claims:
+    """
+    An ID written to all, together with the Baud Rate, or lost with the power (WARN).
+
+    Do: connect one servo, write one byte; write 0 to Lock before (Feetech).
+    """
+    for number, ids, stamp, baud, back in case.report.id_writes:
+        new = case.by_id.get(number)
+        gone = [one for one in ids if one in case.by_id and case.by_id[one].missed_in_a_row
+                and _heard_at(case, one) <= stamp]
+        if len(ids) > 1:
+            if len(gone) > 1 and sum(case.by_id[one].missed_in_a_row for one in gone) \
+                    >= INCIDENTS_MIN:
+                yield Claim(f'a Write to all (ID {BROADCAST}) gave {first_ids(gone, 3)} the ID '
+                            f'{number:03}: they talk at once; connect one at a time and give '
+                            'each its own ID', covers=(*gone, number))
+        elif new is None or new.missed_in_a_row < INCIDENTS_MIN:
+            continue
+        elif baud >= 0 and not back and _heard_at(case, number) <= stamp:
+            yield Claim(f'never heard: the Write that gave {ids[0]:03} this ID went on into its '
+                        f'Baud Rate (code {baud}), so it is at another rate; write the ID as one '
+                        'byte, look for it at other rates', covers=ids, device=number)
+        elif back > _heard_at(case, number) > stamp:
+            of_lock = '' if case.report.protocol == words.PROTOCOL_2 else \
+                ', with 0 in Lock before it and 1 after it (Feetech)'
+            yield Claim(f'silent, and {ids[0]:03}, which was given this ID, answers again: unless '
+                        'that is another servo, the ID was lost when its power was off; write it '
+                        f'again with its torque off{of_lock}', level=Level.WARN, device=number)
+
+
+def _heard_at(case: Case, number: int) -> float:
+    """Return when a device answered last, 0 if it never did."""
+    seconds = case.by_id[number].last_heard_s
+    return 0.0 if seconds is None else case.now - seconds * NS_PER_S
 
 
 def _value_written(case: Case, device: DeviceReport, name: str) -> int:
@@ -496,6 +544,11 @@ def turnaround(case: Case) -> Claims:
 
     Do: raise Return Delay Time by 2 to 4 us.
     """
+    cut = _first_bytes_lost(case) if case.spoilt >= INCIDENTS_MIN else {}
+    for number, (lost, count) in cut.items() if cut else ():
+        yield Claim(f'the first {lost} bytes of its answers are missing, the rest is whole: the '
+                    'adapter switches to receive too late; raise its Return Delay Time, or '
+                    'switch earlier', {'answers': count}, device=number)
     # How many answers of each were whole but for their first byte.
     first = {one.id: one.window.repaired + one.window.first_byte_lost for one in case.devices
              if one.window.repaired or one.window.first_byte_lost}
@@ -522,6 +575,21 @@ def turnaround(case: Case) -> Claims:
         yield Claim(f'first byte of {share(first[device.id], _answers_heard(device))} of its '
                     'answers damaged: it answers before the line switches; raise its Return Delay '
                     'Time by a step or two', {'answers': first[device.id]}, device=device.id)
+
+
+def _first_bytes_lost(case: Case) -> dict[int, tuple[int, int]]:
+    """Return how many first bytes the damaged answers of devices lack, if all the same; times."""
+    noise = case.report.noise
+    if FAMILY_HEADER in noise:         # then a header is whole
+        return {}
+    found = cut_packets(noise, tuple([one for one in expected_packets(case.report)
+                                      if case.by_id[one.device].window.spoilt]))
+    explained = sum(shape.size - lost for shape, lost in found)
+    times = Counter([(shape.device, lost) for shape, lost in found])
+    of_device = Counter([shape.device for shape, _ in found])
+    return {number: (lost, count) for (number, lost), count in times.items()
+            if explained >= CUT_MIN_SHARE * len(noise) and count >= INCIDENTS_MIN
+            and count >= CUT_MIN_SHARE * of_device[number]}
 
 
 def _first_bytes_by_chance(damaged: int) -> float:
@@ -682,5 +750,6 @@ def stray_bytes(case: Case) -> Claims:
                     {}, Level.WARN)
 
 
-RULES = (echo, text, wrong_baud, overrun, baud_moved, id_moved, protocol_1, unknown_instruction,
-    duplicate_id, foreign_answers, turnaround, noise, damaged_answers, not_sent, stray_bytes)
+RULES = (echo, text, wrong_baud, overrun, baud_moved, id_moved, id_write, protocol_1,
+    unknown_instruction, duplicate_id, foreign_answers, turnaround, noise, damaged_answers,
+    not_sent, stray_bytes)

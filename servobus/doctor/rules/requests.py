@@ -54,6 +54,7 @@ from servobus.doctor.thresholds import INCIDENTS_MIN
 from servobus.doctor.thresholds import LONG_WAIT_MS
 from servobus.doctor.thresholds import SPEED_MIN
 from servobus.doctor.thresholds import STILL_MAX_STEPS
+from servobus.doctor.thresholds import STILL_MIN_REPORTS
 from servobus.doctor.thresholds import TURN_STEPS
 from servobus.model.control_table import Field
 from servobus.model.control_table import UNKNOWN
@@ -65,7 +66,6 @@ SCS_STEPS = 1024                   # over the travel of an SCS
 BYTE = 256
 POSITION_CONTROL = 3               # a value of Operating Mode (e-Manual)
 GOALS_BEYOND_MIN = 2               # one may be a slip of a person
-STILL_MIN_REPORTS = 6              # at rest in so many reports: it is not on its way
 WORD = 65_536
 _RATES = 'Velocity', 'Current', 'PWM'
 _POSITION_LIMITS = 'Min Position Limit', 'Max Position Limit'
@@ -100,9 +100,12 @@ NO_BULK_READ = ('AX', 'RX', 'EX', 'DX')
 # Model numbers, and the firmware from which they know fast reads: MX(2.0) never.
 _FAST_SINCE = (((30, 311, 321), 256), (range(1190, 1250), 46), (range(1000, 1400), 45),
                (range(2000, 2130), 12))
-# Addresses of other series that programs use by mistake (e-Manual, PRO), with their registers.
-_PRO = {562: 'Torque Enable', 596: 'Goal Position', 600: 'Goal Velocity', 604: 'Goal Torque',
-        611: 'Present Position', 615: 'Present Velocity'}
+# Addresses of other series that programs use by mistake (e-Manual), with their registers.
+_ELSEWHERE = {address: (name, series) for series, names in (
+    ('PRO', {562: 'Torque Enable', 596: 'Goal Position', 600: 'Goal Velocity',
+             604: 'Goal Torque', 611: 'Present Position', 615: 'Present Velocity'}),
+    ('P', {512: 'Torque Enable', 552: 'Goal Velocity', 564: 'Goal Position',
+           576: 'Present Velocity', 580: 'Present Position'})) for address, name in names.items()}
 
 
 # --- what it sends and reads ---------------------------------------------------------------------
@@ -396,8 +399,9 @@ def wrong_address(case: Case, device: DeviceReport) -> Found | None:
 
 def _what_is_there(device: DeviceReport, address: int, error: int) -> str:
     field = device.model.by_address.get(address)
-    if address in _PRO and (field is None or field.name != _PRO[address]):
-        return f'{_PRO[address]} of the PRO series; use the control table of {device.model_name}'
+    name, series = _ELSEWHERE.get(address, ('', ''))
+    if name and (field is None or field.name != name):
+        return f'{name} of the {series} series; use the control table of {device.model_name}'
     if field is None:
         return f'{device.model_name} has no register there; check the control table in use'
     if error == RANGE_ERROR:
@@ -767,6 +771,23 @@ def never_written(case: Case, device: DeviceReport) -> Found | None:
                  {'reads': device.totals.reads})
 
 
+@Rule(accounts_for={'joint at rest'})
+def no_action(case: Case) -> Claims:
+    """
+    Reg Writes, one after the other, and no Action after them.
+
+    Do: send Action to it, or to all (ID 254).
+    """
+    if ev.REPLACED not in case.incidents_by_kind:
+        return
+    replaced = {one.device: one.detail.number for one in case.incidents(ev.REPLACED)}
+    for number, times in replaced.items():
+        if times >= INCIDENTS_MIN:
+            yield Claim('Reg Writes wait for an Action that does not come: send Action to it, or '
+                        f'to all (ID {BROADCAST})', {'Reg Writes without one': times + 1},
+                        device=number)
+
+
 # --- reads of several devices at once ------------------------------------------------------------
 
 @Rule(symptoms={'unanswered group reads'},
@@ -911,4 +932,4 @@ def _may_come_late(case: Case, device: DeviceReport) -> bool:
 RULES = (rate_refused, port_lost, port_reopened, line_mode, unread_answers, wrong_packets,
     eeprom_locked, wrong_address, goal_limits, refused, impossible_id, master_stopped, scan,
     models, eeprom_wear, fast_read_unsupported, sync_read_unsupported, group_read_unanswered,
-    unstuffed, no_acks, never_written)
+    unstuffed, no_acks, never_written, no_action)

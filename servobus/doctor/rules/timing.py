@@ -31,12 +31,15 @@ from servobus.bus.report import Incident
 from servobus.bus.report import STOLE_REPLIES
 from servobus.doctor.case import Case
 from servobus.doctor.case import key_of
+from servobus.doctor.facts import FACTORY_DELAY_US
 from servobus.doctor.facts import fatal_late_answer
 from servobus.doctor.facts import first_of_groups
+from servobus.doctor.facts import gives_up_at_once
 from servobus.doctor.facts import is_collision
 from servobus.doctor.facts import is_overlaid
 from servobus.doctor.facts import ran_into_answers
 from servobus.doctor.facts import SAME_DELAY_NS
+from servobus.doctor.facts import WAITS_WINDOW_S
 from servobus.doctor.rhythm import answer_ns
 from servobus.doctor.rhythm import answered_within_ns
 from servobus.doctor.rhythm import EVEN_MAX_SPREAD
@@ -82,12 +85,8 @@ RESOLVED_MS = 4.0                  # between chunks; else all gaps count, not th
 ADAPTER_GRID_NS = 16 * NS_PER_MS   # exactly that is made by the adapter that we hear through
 HZ_60_NS = NS_PER_S // 60
 HZ_60_MIN_SHARE = 0.7              # share of those gaps
-WAITS_WINDOW_S = 3.0               # a master that waits in vain now
 NO_WAIT_US = 50                    # less than any answer takes on the wire
 LATE_ONE_MAX_SHARE = 0.6           # share of what is late: of more, one device is slow
-FACTORY_DELAY_US = 500             # Return Delay Time as from the factory (e-Manual)
-HASTY_MIN_WAITS = 10               # fewer are those of damage
-HASTY_MIN_SHARE = 0.7              # share of the vain waits
 THROWN_AWAY_MIN = 10               # answers: a program may clear its input at its start
 ACKS_HIT_MIN_SHARE = 0.7           # share of the spoilt answers, which come right after a write
 AFTER_WRITE_MAX_SHARE = 0.1        # share of the questions: noise would hit as few of them
@@ -200,9 +199,10 @@ def impatient_master(case: Case) -> Claims:
             Claim(f'{words}: its time-out is shorter than the answers take; raise it',
                   {'repeated': again.total()})
         return
-    hasty = _gives_up_at_once(case)
-    if hasty and (not case.report.is_answered or (case.damage >= INCIDENTS_MIN and any(
-            case.recent_counts(device, WAITS_WINDOW_S).answers for device in case.devices))):
+    hasty = gives_up_at_once(case)
+    if hasty and (_reads_few(case, hasty) if case.has_sides else
+                  case.damage >= INCIDENTS_MIN and any(case.recent_counts(
+                      device, WAITS_WINDOW_S).answers for device in case.devices)):
         yield Claim('the master does not wait for answers and sends during them: it gives '
                     f'up within {FACTORY_DELAY_US} us, before a servo with factory settings '
                     'answers; raise its time-out', {'given up at once': hasty})
@@ -246,14 +246,11 @@ def _answers_after_it_went_on(case: Case) -> tuple[int, float]:
     return 0 if is_of_one and len(case.devices) > 1 else times, max(0.0, median(waits))
 
 
-def _gives_up_at_once(case: Case) -> int:
-    """Return how many of the last waits ended before any answer could come, 0 if not most."""
-    waits = case.waits(WAITS_WINDOW_S)
-    hasty = [one.us for one in waits if not one.is_spoilt and one.instruction not in WRITES]
-    if len(hasty) < HASTY_MIN_WAITS or (
-            case.has_sides and len(hasty) < HASTY_MIN_SHARE * len(waits)):
-        return 0
-    return len(hasty) if median(hasty) < FACTORY_DELAY_US else 0
+def _reads_few(case: Case, hasty: int) -> bool:
+    """Tell whether fewer than half of the answers come to a program whole, at whatever time."""
+    packets, asked = (case.increase_of(name, WAITS_WINDOW_S) for name in (
+        'packets', 'instructions'))
+    return len(case.marks) > 1 and 2 * (packets - asked) < hasty
 
 
 def _questions_into_acks(case: Case) -> int:

@@ -62,7 +62,7 @@ class Wire:
         self.echo, self.latency_ns = echo, int(latency_ms * MS)
         self.begins = self.quiet = 0           # from when to when answers are on it
         self.sent = 0                         # when the last byte of the program is out
-        self._arrivals, self._count = [], 0
+        self._arrivals, self._count, self._last = [], 0, 0
 
     def send(self, data):
         begin = max(self.clock.now, self.sent)
@@ -91,10 +91,11 @@ class Wire:
         return bytes(one & self.chance.randrange(256) for one in data)
 
     def _arrive(self, end, data):
-        """Hand bytes over as an adapter does: at some time before its latency timer is over."""
+        """Hand bytes over as an adapter does: in order, before its latency timer is over."""
         self._count += 1
         late = self.chance.randint(0, self.latency_ns)
-        heapq.heappush(self._arrivals, (end + late, self._count, data))
+        self._last = max(self._last, end + late)       # at once with what was on the line before
+        heapq.heappush(self._arrivals, (self._last, self._count, data))
 
     def arrived(self, until):
         """Return the bytes that are there at a time."""
