@@ -247,7 +247,7 @@ def _answers_after_it_went_on(case: Case) -> tuple[int, float]:
 
 
 def _reads_few(case: Case, hasty: int) -> bool:
-    """Tell whether fewer than half of the answers come to a program whole, at whatever time."""
+    """Tell whether fewer than half of the answers come to a program whole, also later."""
     packets, asked = (case.increase_of(name, WAITS_WINDOW_S) for name in (
         'packets', 'instructions'))
     return len(case.marks) > 1 and 2 * (packets - asked) < hasty
