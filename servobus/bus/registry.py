@@ -247,7 +247,7 @@ class DeviceRegistry:
         """
         Return whether a write gives a device this ID: some acknowledge it with the new one.
 
-        Where its registers are not known, this is seen: the byte written, a number never heard.
+        Where its registers are not known: the byte written there, a number never heard.
         """
         action, (device, *written, _) = effect
         if action != self.write:
@@ -255,7 +255,8 @@ class DeviceRegistry:
         self.resolve(device)
         other = self.devices.get(number)
         return ('ID', number) in device.special_values(*written) or (
-            written[1] == bytes((number,)) and 'ID' not in device.model.by_name
+            written[1] == bytes((number,)) and written[0] in _ID_AT[device.protocol]
+            and 'ID' not in device.model.by_name
             and (other is None or not other.heard))
 
     def register(self, device: Device, address: int, data: bytes, stamp: int,

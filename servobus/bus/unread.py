@@ -218,7 +218,8 @@ class UnreadAnswers:
             waited, slot = now - question.asked, question.due[0]
             # No answer is over sooner.
             least = self._registry.byte_ns * (STATUS_OVERHEAD_1 + slot.size)
-            if waited < (least if slot.due is Due.ACK else max(least, NO_WAIT_NS)):
+            if waited < (least if slot.due is Due.ACK or self.old_until
+                         else max(least, NO_WAIT_NS)):
                 self._evidence.add_wait(Wait(now, waited // 1000, slot.device.number, False,
                                              question.plan.request.instruction))
         state = NEXT[PENDING][event]

@@ -69,6 +69,8 @@ FIRST_BYTE_BY_CHANCE = 1 / 8       # share of damage that hits a first byte by c
 CUT_MIN_SHARE = 0.9                # share of the noise: nothing else is wrong
 OVERLONG_MIN_ANSWERS = 5            # with bytes after them
 OVERLONG_MIN_SHARE = 0.2            # share of its answers: a second device answers each time
+TWIN_MIN_ANSWERS = 15              # the shares of fewer differ by chance
+TWIN_MIN_FACTOR = 1.5              # two answer twice as often as one
 AGAIN_MIN_SHARE = 0.7              # share of the damage, where its answer comes once more
 SECOND_ANSWERS_FACTOR = 1.5        # times those that come at any other time
 ECHO_MIN_INSTRUCTIONS = 5
@@ -471,6 +473,10 @@ def duplicate_id(case: Case, device: DeviceReport) -> Found | None:
                      'devices have this ID; unplug one and change the ID of the other',
                      {'answers': window.overlong_replies})
     is_enough = twice >= (1 if at_end else INCIDENTS_MIN)
+    if case.count(ev.STALE) and _answers_twice(case) == device.id:
+        return Claim('of what the program reads too late, twice as much is from this ID: two '
+                     'devices have it; unplug one and change the ID of the other, and clear the '
+                     'input before each question')
     if not models and not (is_enough and twice >= SECOND_ANSWERS_FACTOR * others):
         return None
     if case.count(ev.STALE) >= INCIDENTS_MIN and twice < case.count(ev.SECOND_ANSWER):
@@ -482,6 +488,21 @@ def duplicate_id(case: Case, device: DeviceReport) -> Found | None:
                   'second answers': twice,
                   'damaged': window.spoilt,
                   'model changes': window.model_changes})
+
+
+def _answers_twice(case: Case) -> int | None:
+    """Return the ID of which whole answers in the noise are too many for the questions to it."""
+    seen = Counter(one.device for one in case.incidents(ev.PROTOCOL_1))
+    asked: Counter[int] = Counter()
+    for cycle in case.cycles:
+        if len(cycle.ids) == 1:
+            asked[cycle.ids[0]] += cycle.asked
+    shares = sorted((times / asked[number], number) for number, times in seen.items()
+                    if asked[number])
+    if len(shares) < 2:
+        return None
+    (less, _), (most, number) = shares[-2:]
+    return number if seen[number] >= TWIN_MIN_ANSWERS and most > TWIN_MIN_FACTOR * less else None
 
 
 def _says_too_much(case: Case, device: DeviceReport) -> bool:

@@ -79,13 +79,11 @@ ANSWERS_OTHERWISE_S = 2.0          # an answer to something else, so lately: it 
 STOPPED_MIN_S = 1.2                # two reports at the usual 2 Hz, and what chunks blur
 STOPPED_WARN_S = 10.0              # a shorter pause may be meant
 WORKED_MIN_S = 2.5                 # a program that ran so long has stopped; a command is done
-TWIN_MIN_ANSWERS = 15              # the shares of fewer differ by chance
 _READ_WRONGLY = {ev.STUFFED, ev.SPLIT, ev.TAKEN_FOR, ev.STALE}
 _HUNG_UP = {5: 'Input/output error', 6: 'No such device or address', 19: 'No such device'}
 VAIN_SESSIONS_MIN = 5              # openings of the port
 TAKEN_MIN = 5                      # answers
 TAKEN_MAX_LATER = 1.5              # as many as are taken: after these it did not ask at once
-TWIN_MIN_FACTOR = 1.5              # two answer twice as often as one
 NO_IDS = (0xFD, 0xFF)
 _NO_ID = ', which no device can have (0 to 252): correct the ID in its program'
 SENT_MIN_BYTES = 30                # three packets
@@ -146,16 +144,13 @@ def unread_answers(case: Case) -> Claims:
         return
     seen = 'each time the program asks, bytes of earlier answers still wait to be read'
     harm = case.damage + sum(device.window.missed for device in case.devices)
-    twin = _answers_twice(case)
-    if twin is None and harm < INCIDENTS_MIN:
+    if harm < INCIDENTS_MIN:
         yield Doubt(f'{seen}: if it takes those for the new ones, let it clear its input before '
                     'it asks')
         return
-    cause = ': it reads too few, or takes old answers for new ones; let it read whole answers, ' \
-        'and clear its input before it asks' if twin is None else \
-        f', and {twin:03} says twice as much as others: two devices have this ID; unplug one ' \
-        'and change the ID of the other'
-    yield Claim(f'{seen}{cause}', {'missed or damaged': harm}, covers=tuple(case.by_id))
+    yield Claim(f'{seen}: it reads too few, or takes old answers for new ones; let it read whole '
+                'answers, and clear its input before it asks',
+                {'missed or damaged': harm}, covers=tuple(case.by_id))
 
 
 def _taken_for_another(case: Case) -> Counter[tuple[int, int]]:
@@ -164,21 +159,6 @@ def _taken_for_another(case: Case) -> Counter[tuple[int, int]]:
     taken = Counter((one.device, one.detail.number) for one in case.incidents(ev.TAKEN_FOR))
     are_most = kinds.get(ev.NOT_TAKEN, 0) <= TAKEN_MAX_LATER * kinds.get(ev.TAKEN_FOR, 0)
     return taken if taken.total() >= TAKEN_MIN and are_most else Counter()
-
-
-def _answers_twice(case: Case) -> int | None:
-    """Return the ID of which whole answers in the noise are too many for the questions to it."""
-    seen = Counter(one.device for one in case.incidents(ev.PROTOCOL_1))
-    asked: Counter[int] = Counter()
-    for cycle in case.cycles:
-        if len(cycle.ids) == 1:
-            asked[cycle.ids[0]] += cycle.asked
-    shares = sorted((times / asked[number], number) for number, times in seen.items()
-                    if asked[number])
-    if len(shares) < 2:
-        return None
-    (less, _), (most, number) = shares[-2:]
-    return number if seen[number] >= TWIN_MIN_ANSWERS and most > TWIN_MIN_FACTOR * less else None
 
 
 @Rule(subject='bus', level=Level.ERROR,

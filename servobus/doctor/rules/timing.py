@@ -250,7 +250,7 @@ def _reads_few(case: Case, hasty: int) -> bool:
     """Tell whether fewer than half of the answers come to a program whole, also later."""
     packets, asked = (case.increase_of(name, WAITS_WINDOW_S) for name in (
         'packets', 'instructions'))
-    return len(case.marks) > 1 and 2 * (packets - asked) < hasty
+    return len(case.marks) > 1 and 2 * (packets - asked) < hasty and not case.count(ev.STALE)
 
 
 def _questions_into_acks(case: Case) -> int:
@@ -326,6 +326,9 @@ def late_answers(case: Case) -> Claims:
                 device.window.not_served >= count
                 or count < LATE_MIN_SHARE * device.window.asked))):
             return
+        if not fatal and sum(one.device != number for one in case.incidents(
+                ev.SECOND_ANSWER)) >= count:
+            return                     # two with another ID: a second answer takes its turn
         if _is_cut_short(case):
             yield Doubt('the next instruction comes during its answers: two programs, one '
                         'that does not wait, or two devices with this ID', number,
