@@ -419,8 +419,8 @@ def dropout(case: Case, device: DeviceReport) -> Found | None:
         if others and all(other.window.not_served for other in others) else ''
     after, before = _neighbours(case, device)
     where = '' if before is None else f' between {before:03} and {device.id:03}'
-    behind = f', and {first_ids(after, 2)} after it not served' if after else ''
-    return Claim(f'no answers for {away} ms{behind}: a loose plug{where} or a restart{supply}; '
+    unserved = f', and {first_ids(after, 2)} after it not served' if after else ''
+    return Claim(f'no answers for {away} ms{unserved}: a loose plug{where} or a restart{supply}; '
                  'read Torque Enable or Realtime Tick to find out',
                  {'absences': len(absences), 'longest (ms)': away})
 
