@@ -98,7 +98,8 @@ def test_a_mistake_of_ours_ends_the_node(ros, graph, mcu):
 import sys
 from vel2d_bridge import main
 from vel2d_bridge.bridge_timing import Timing
-Timing.reset = lambda self: 1 / 0
+begins = Timing.reset
+Timing.reset = lambda self: 1 / 0 if hasattr(self, 'series') else begins(self)
 sys.exit(main.main())"""
     with bridge(mcu, script=script) as running:
         client = graph.node.create_client(ros.Trigger, '/vel2d_bridge/reset_statistics')

@@ -542,7 +542,7 @@ def torque_off(case: Case, device: DeviceReport) -> Found | None:
       accounts_for={'joint at rest'})
 def operating_mode(case: Case, device: DeviceReport) -> Found | None:
     """
-    It turns past its goals, or alone never moved with its torque on.
+    It turns past its goals, or its mode has no goal positions.
 
     Do: write its Operating Mode.
     """
@@ -564,30 +564,10 @@ def operating_mode(case: Case, device: DeviceReport) -> Found | None:
             and is_of_one_turn(goal.field):
         return Claim('its goals are within one turn, and it turns on and on past them, as in '
                      f'velocity or PWM mode: {remedy}', rests_on=_PLACE_AND_MODE)
-    if mode is None and (torque is None or torque.source != 'w' or device.id in case.turned
-                         or not _may_have_other_mode(case, device)):
+    if mode is None or not _does_not_follow(_since_it_moved(_recent_samples(case, device.id))):
         return None
-    samples = _since_it_moved(_recent_samples(case, device.id))
-    if not _does_not_follow(samples):
-        return None
-    if mode is not None:
-        return Claim(f'its Operating Mode is {mode.value.text}, in which goal positions do '
-                     f'nothing: {remedy}', rests_on=_PLACE_AND_MODE)
-    if not _others_move(case, device, samples) or not is_watched(case, device, place) \
-            or not _is_ignored([*case.samples[device.id]], 0.1 / (place.field.scale or 0.001),
-                               may_hold=False):
-        return None
-    return Claim('it alone never moved, though its torque was switched on and its goals changed: '
-                 'read Operating Mode (in current, velocity or PWM mode goal positions do '
-                 f'nothing: {remedy}), or check what blocks it', rests_on=_PLACE_AND_MODE)
-
-
-def _may_have_other_mode(case: Case, device: DeviceReport) -> bool:
-    """Tell whether a servo has modes, and nothing else is known to keep it from moving."""
-    mode = device.model.by_name.get('Operating Mode')
-    return mode is not None and mode.name == 'Operating Mode' \
-        and raw_value(case, device, 'Torque Enable') == 1 and not _force_at_zero(case, device) \
-        and not _absences(case, device)
+    return Claim(f'its Operating Mode is {mode.value.text}, in which goal positions do '
+                 f'nothing: {remedy}', rests_on=_PLACE_AND_MODE)
 
 
 def _force_at_zero(case: Case, device: DeviceReport) -> str:

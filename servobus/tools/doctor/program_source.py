@@ -182,7 +182,6 @@ class Program(Source):
         self._openings = Openings()
         self._missed: tuple[str, ...] = ()
         self._began_s = time.monotonic()
-        self._users_due_s = 0.0                # when to look again who has a port open
         self._reader = TapReader(name)
         try:
             self._started = StartedProgram(tool, name, command, by, output)
@@ -192,6 +191,7 @@ class Program(Source):
         self._child = self._started.child
         self._add_users([
             word for word in command if os.path.exists(word) and Path(word).is_char_device()])
+        self._users_due_s = 0.0                # when to look again who has a port open
         signal.signal(signal.SIGINT, self._remember_stop)  # the terminal sends it to the child too
 
     def _remember_stop(self, *_: object) -> None:

@@ -326,7 +326,7 @@ def a_board_that_answers_by_itself(program):
         b'Unknown command\r\n', b'{"T":1051,"x":0}\r\n', b'rst:0x1 (POWERON_RESET),boot:0x13\r\n'))
 
 
-@mistake('late_answers', 'missed_answers')
+@mistake('late_answers unread_answers', 'missed_answers')
 def a_slow_servo(program):
     servo = _some(program)
     servo.delay_ns = int((program.timeout + 0.004) * 1e9)

@@ -60,7 +60,7 @@ class FedListener(Listener):
 
     def start(self):
         self.state = ListenerState(True, '', f'{self.port}: open')
-        self._openings += 1
+        self.openings += 1
         self.after()
 
     def stop(self):
