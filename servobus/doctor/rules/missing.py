@@ -35,6 +35,7 @@ from servobus.doctor.facts import is_rate_search
 from servobus.doctor.facts import is_watched
 from servobus.doctor.facts import raw_value
 from servobus.doctor.facts import span
+from servobus.doctor.rhythm import WRITES
 from servobus.doctor.rule import about
 from servobus.doctor.rule import all_ids
 from servobus.doctor.rule import Claim
@@ -428,9 +429,10 @@ def dropout(case: Case, device: DeviceReport) -> Found | None:
 def _neighbours(case: Case, device: DeviceReport) -> tuple[list[int], int | None]:
     """Return who got no turn after a device in a group read, and who answered before it."""
     for cycle in case.cycles:
-        if device.id in cycle.ids[:-1]:
+        if device.id in cycle.ids[:-1] and cycle.instruction not in WRITES:
             at = cycle.ids.index(device.id)
-            after = [one for one in cycle.ids[at + 1:] if case.by_id[one].window.not_served]
+            after = [one for one in cycle.ids[at + 1:]      # an ID that none can have, too
+                     if one in case.by_id and case.by_id[one].window.not_served]
             if after:
                 return after, cycle.ids[at - 1] if at else None
     return [], None
