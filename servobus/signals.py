@@ -87,8 +87,6 @@ class BusSignals:
 class _SpanLog:
     """What one span of a table held, time after time: s as f64, then its bytes."""
 
-    __slots__ = ('data', 'deciding', 'limit', 'size')
-
     def __init__(self, span: Span, deciding: list[int]) -> None:
         self.data = bytearray()
         self.size = _STAMP.size + span[1]

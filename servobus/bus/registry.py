@@ -265,8 +265,7 @@ class DeviceRegistry:
         is_again = device.registered is not None and device.registered[0] == address
         device.replaced = device.replaced + 1 if is_again else 0
         if is_again:
-            self._evidence.add_incident(stamp, ev.REPLACED, device.number,
-                                        device.replaced)
+            self._evidence.add_incident(stamp, ev.REPLACED, device.number, device.replaced)
         device.registered = address, data, alone
 
     def write_registered(self, device: Device, stamp: int) -> None:

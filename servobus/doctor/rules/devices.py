@@ -59,7 +59,6 @@ _REMEDIES = {
                    'on, its sensor is broken',
     'overload': _FREE_IT,
     'current': _FREE_IT}
-_LATCHED = 'an error is latched'
 _OF_SUPPLY = 'voltage'     # ends the name of the first bit of the 1.0 family where it is alone
 AT_ZERO_MAX = 1                    # as another register reads, or a dead sensor
 ZERO_MIN_REPORTS = 8               # 4 s: a joint goes there, and does not stay through far goals
@@ -78,11 +77,10 @@ def hardware_error(case: Case, device: DeviceReport) -> Found | None:
 
     Do: remove the cause, then Reboot (Dynamixel 2.0).
     """
-    found = None if device.last_error.endswith(_OF_SUPPLY) else latched_error(device)
-    if found is None or found.level is not Level.WARN or device.id not in case.samples:
-        return found
-    likely = _likely_error(case.highest.get(device.id, 0.0), [*case.samples[device.id]])
-    return found._replace(message=found.message.replace(_LATCHED, f'{_LATCHED}{likely}'))
+    if not device.alert or device.last_error.endswith(_OF_SUPPLY):
+        return None
+    return latched_error(device, _likely_error(case.highest.get(device.id, 0.0),
+                                               [*case.samples.get(device.id, ())]))
 
 
 def _likely_error(highest: float, samples: list[Sample]) -> str:
@@ -100,8 +98,8 @@ def _likely_error(highest: float, samples: list[Sample]) -> str:
             'joint or limit its current')
 
 
-def latched_error(device: DeviceReport) -> Claim | None:
-    """Return the hardware error of a device, by its alert bit."""
+def latched_error(device: DeviceReport, likely: str = '') -> Claim | None:
+    """Return the hardware error of a device, by its alert bit; likely: what it is if not read."""
     is_2 = device.protocol == words.PROTOCOL_2
     if not device.alert or not device.window.alerts \
             or (not is_2 and ERROR_BYTE_BY_CHANCE * device.window.alerts <= device.window.spoilt):
@@ -117,7 +115,7 @@ def latched_error(device: DeviceReport) -> Claim | None:
     seen = next((values[name] for name in _ERRORS
                  if name in values and values[name].value.raw), None)
     if seen is None:
-        return Claim(f'alert in its answers{torque}: {_LATCHED}; read '
+        return Claim(f'alert in its answers{torque}: an error is latched{likely}; read '
                      'Hardware Error Status, then reboot it', figures, Level.WARN,
                      device=device.id, rests_on=(ANSWER,))
     return Claim(f'{seen.value.text} error latched{torque}: remove the cause, then '
@@ -205,15 +203,17 @@ def voltage(case: Case) -> Claims:
         if low is None and high is None and not error and device.model.number is not None:
             unknown.append(device.id)
         if low is not None and volts < low + NEAR_VOLTS:
-            sides[f'below its limit of {low:.1f} V'] = device.id
+            side = f'below its limit of {low:.1f} V'
             found.append(_supply_claim(
-                device, volts, volts < low, f'below its limit of {low:.1f} V{source}: charge the '
+                device, volts, volts < low, f'{side}{source}: charge the '
                 'battery, check cable gauge and the load on the chain'))
+            sides[side] = device.id
         elif high is not None and volts > high - NEAR_VOLTS:
-            sides[f'above its limit of {high:.1f} V'] = device.id
+            side = f'above its limit of {high:.1f} V'
             found.append(_supply_claim(
-                device, volts, volts > high, f'above its limit of {high:.1f} V{source}: lower the '
+                device, volts, volts > high, f'{side}{source}: lower the '
                 'supply voltage, or use a supply that takes the braking current'))
+            sides[side] = device.id
         elif error:
             found.append(error._replace(figures={'voltage (V)': f'{volts:.1f}'}))
     yield from found

@@ -580,9 +580,8 @@ def _force_at_zero(case: Case, device: DeviceReport) -> str:
 def _turns_past_goals(case: Case, device: DeviceReport) -> bool:
     """Tell whether a joint goes half a turn and more in one way, away from goals in one turn."""
     samples = case.samples[device.id]
-    if len(samples) <= INCIDENTS_MIN \
-            or -GOAL_FAR_STEPS <= (samples[-1].position or 0) - (samples[-2].position or 0) \
-            <= GOAL_FAR_STEPS:
+    if len(samples) <= INCIDENTS_MIN or abs(
+            (samples[-1].position or 0) - (samples[-2].position or 0)) <= GOAL_FAR_STEPS:
         return False                           # it does not turn now
     known = [(one.goal, one.position) for one in samples
              if one.goal is not None and one.position is not None]
@@ -591,9 +590,9 @@ def _turns_past_goals(case: Case, device: DeviceReport) -> bool:
     half = TURN_STEPS // 2
     steps = [(two - one + half) % TURN_STEPS - half for (_, one), (_, two) in pairwise(known)]
     way = 1 if sum(steps) > 0 else -1
-    away = sum(way * step > GOAL_FAR_STEPS and way * (two[1] - two[0]) > GOAL_FAR_STEPS
-               and way * (one[1] - one[0]) > GOAL_FAR_STEPS
-               for one, two, step in zip(known, known[1:], steps, strict=False))
+    beyond = [way * (place - goal) > GOAL_FAR_STEPS for goal, place in known]
+    away = sum(before and after and way * step > GOAL_FAR_STEPS
+               for (before, after), step in zip(pairwise(beyond), steps, strict=True))
     return way * sum(steps) >= half and min(way * step for step in steps) >= -STILL_MAX_STEPS \
         and away >= INCIDENTS_MIN
 

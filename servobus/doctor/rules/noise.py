@@ -565,11 +565,8 @@ def turnaround(case: Case) -> Claims:
 
     Do: raise Return Delay Time by 2 to 4 us.
     """
-    cut = _first_bytes_lost(case) if case.spoilt >= INCIDENTS_MIN else {}
-    for number, (lost, count) in cut.items() if cut else ():
-        yield Claim(f'the first {lost} bytes of its answers are missing, the rest is whole: the '
-                    'adapter switches to receive too late; raise its Return Delay Time, or '
-                    'switch earlier', {'answers': count}, device=number)
+    if case.spoilt >= INCIDENTS_MIN:
+        yield from _first_bytes_lost(case)
     # How many answers of each were whole but for their first byte.
     first = {one.id: one.window.repaired + one.window.first_byte_lost for one in case.devices
              if one.window.repaired or one.window.first_byte_lost}
@@ -598,19 +595,21 @@ def turnaround(case: Case) -> Claims:
                     'Time by a step or two', {'answers': first[device.id]}, device=device.id)
 
 
-def _first_bytes_lost(case: Case) -> dict[int, tuple[int, int]]:
-    """Return how many first bytes the damaged answers of devices lack, if all the same; times."""
+def _first_bytes_lost(case: Case) -> Claims:
+    """Look for devices of which all damaged answers lack as many first bytes."""
     noise = case.report.noise
     if FAMILY_HEADER in noise:         # then a header is whole
-        return {}
+        return
     found = cut_packets(noise, tuple([one for one in expected_packets(case.report)
                                       if case.by_id[one.device].window.spoilt]))
-    explained = sum(shape.size - lost for shape, lost in found)
-    times = Counter([(shape.device, lost) for shape, lost in found])
+    if sum(shape.size - lost for shape, lost in found) < CUT_MIN_SHARE * len(noise):
+        return
     of_device = Counter([shape.device for shape, _ in found])
-    return {number: (lost, count) for (number, lost), count in times.items()
-            if explained >= CUT_MIN_SHARE * len(noise) and count >= INCIDENTS_MIN
-            and count >= CUT_MIN_SHARE * of_device[number]}
+    for (number, lost), count in Counter([(shape.device, lost) for shape, lost in found]).items():
+        if count >= max(INCIDENTS_MIN, CUT_MIN_SHARE * of_device[number]):
+            yield Claim(f'the first {lost} bytes of its answers are missing, the rest is whole: '
+                        'the adapter switches to receive too late; raise its Return Delay Time, '
+                        'or switch earlier', {'answers': count}, device=number)
 
 
 def _first_bytes_by_chance(damaged: int) -> float:

@@ -480,16 +480,23 @@ def _position_beyond(case: Case, device: DeviceReport) -> Found | None:
     if is_feetech and (swapped := _goals_swapped(case, device, goal.field)):
         return swapped
     names = _ANGLE_LIMITS if device.model.protocol == '1' else _POSITION_LIMITS
-    if names[1] in values and (names[0] in values or device.model.protocol != '2'):
+    if names[1] in values:
         low, high = (raw_value(case, device, name) or 0 for name in names)
-        # With both at the end of a turn, an MX counts turns; both 0 are no limits.
-        if low < high and (is_feetech or (names[0] in values and device.model.protocol == '1') or (
-                high - low < TURN_STEPS - 1 and (has_mode or device.model.protocol == '1'))):
+        if low < high and _are_limits(device, values, names[0], high - low):
             return _goals_held_back(case, device, names, low, high)
     if device.model.protocol == '1' or (is_feetech and not values.keys().isdisjoint(names)) \
             or not is_of_one_turn(goal.field):
         return None                            # Feetech: both are 0 where it has none
     return _goals_beyond_a_turn(case, device, goal.field, has_mode)
+
+
+def _are_limits(device: DeviceReport, values: dict[str, Observed], lower: str,
+                width: float) -> bool:
+    """Tell whether position limits so far apart are in force; the upper one is known."""
+    within_turn = width < TURN_STEPS - 1       # with both at the end of a turn, an MX counts turns
+    if device.model.protocol == '2':
+        return lower in values and within_turn and 'Operating Mode' in values
+    return device.model.protocol == FEETECH.protocol or lower in values or within_turn
 
 
 def _goals_swapped(case: Case, device: DeviceReport, field: Field) -> Found | None:
@@ -720,11 +727,12 @@ def no_acks(case: Case, device: DeviceReport) -> Found | None:
         return None                            # it does again: some were lost
     if not (has_ended or unanswered or device.status_return_level in (0, 1)):
         return None
-    less = case.report.protocol == FEETECH.name        # its levels 0 and 1 are 1 and 2 of others
-    level = '' if device.status_return_level is None else f'{device.status_return_level - less}'
-    return Claim('does not acknowledge writes (Status Return Level '
-                 f"{level or f'below {2 - less}'}): a master that waits for it loses a time-out "
-                 f'each time; use Sync Write or level {2 - less}'
+    shift = -1 if case.report.protocol == FEETECH.name else 0     # its 0 and 1 are 1 and 2 here
+    level = device.status_return_level
+    says = f'below {2 + shift}' if level is None else f'{level + shift}'
+    return Claim(f'does not acknowledge writes (Status Return Level {says}): '
+                 'a master that waits for it loses a time-out '
+                 f'each time; use Sync Write or level {2 + shift}'
                  f"{'; if it has that, check its plugs' * has_ended}",
                  level=Level.WARN if has_ended else None, is_certain=has_ended,
                  rests_on=() if has_ended or unanswered else (ANSWER,))
