@@ -181,6 +181,12 @@ def gives_up_at_once(case: Case) -> int:
     return len(hasty) if median(hasty) < FACTORY_DELAY_US else 0
 
 
+def reads_too_soon(case: Case) -> int:
+    """Return how often a program read before any answer could come, 0 if it mostly waits."""
+    waits = [one.us for one in case.waits(WAITS_WINDOW_S) if one.us] if case.has_sides else []
+    return len(waits) if len(waits) >= HASTY_MIN_WAITS and median(waits) < FACTORY_DELAY_US else 0
+
+
 def first_of_groups(incidents: list[Incident[D]]) -> list[Incident[D]]:
     """Return the first of each group of incidents that are close: one delay has many answers."""
     return incidents[:1] + [one for before, one in pairwise(incidents)

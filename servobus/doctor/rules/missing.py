@@ -473,9 +473,12 @@ def _restart_proof(case: Case, back: Incident[ev.SilentFor]) -> str:
     if heat is not None and not heat.value.raw and any(one.position for one in before) \
             and not any(one.position for one in after):
         return 'position and temperature read 0: its indirect addresses are lost'
-    if _does_not_follow(after) and span([one.position for one in before]) >= GOAL_MOVES_STEPS \
-            and not _does_not_follow(before) and not case.by_id[back.device].alert:
-        return 'no longer follows its goal'
+    device = case.by_id.get(back.device)
+    if device is not None and not device.alert \
+            and 2 * back.detail.missed >= device.window.missed \
+            and _does_not_follow(after) and not _does_not_follow(before) \
+            and span([one.position for one in before]) >= GOAL_MOVES_STEPS:
+        return 'no longer follows its goal'        # one of many short absences is a plug
     return ''
 
 

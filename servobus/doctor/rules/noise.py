@@ -36,6 +36,7 @@ from servobus.doctor.facts import is_collision
 from servobus.doctor.facts import is_overlaid
 from servobus.doctor.facts import may_overlap
 from servobus.doctor.facts import ran_into_answers
+from servobus.doctor.facts import reads_too_soon
 from servobus.doctor.rule import about
 from servobus.doctor.rule import all_ids
 from servobus.doctor.rule import Claim
@@ -133,7 +134,7 @@ def wrong_baud(case: Case) -> Claims:
             and all(device.last_heard_s is None for device in report.devices):
         got, good, rate_of = got - good, 0, 'the rate of the program'    # what that sends is whole
     if not report.is_answered or got < max(WRONG_BAUD_MIN_BYTES, good / PACKETS_BY_CHANCE) \
-            or case.count(ev.PROTOCOL_1) or gives_up_at_once(case):
+            or case.count(ev.PROTOCOL_1) or gives_up_at_once(case) or reads_too_soon(case):
         return
     rate = likely_rate(report.noise, report.baud)
     remedy = f'the bytes look like {rate} Bd: set {rate_of} to it' if rate else \
@@ -626,7 +627,7 @@ def _answers_heard(device: DeviceReport) -> int:
 @Rule(subject='bus',
       symptoms={'damaged packets'},
       accounts_for={'damaged answers', 'missed answers', 'absence', 'stray bytes',
-                    'uneven rhythm'})
+                    'uneven rhythm', 'wrong length'})
 def noise(case: Case) -> Claims:
     """
     Damaged packets of several devices.
@@ -696,7 +697,8 @@ def _most_hit(case: Case) -> DeviceReport | None:
 
 @Rule(onset_s=DAMAGE_ONSET_S,
       symptoms={'damaged answers'},
-      accounts_for={'missed answers', 'absence', 'stray bytes', 'uneven rhythm', 'wrong length'})
+      accounts_for={'missed answers', 'absence', 'stray bytes', 'uneven rhythm', 'wrong length',
+                    'joint at rest'})          # its position is seen too rarely
 def damaged_answers(case: Case) -> Claims:
     """
     Only its answers are damaged, or bytes that are no packet come in their place.

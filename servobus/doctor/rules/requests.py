@@ -112,7 +112,8 @@ _ELSEWHERE = {address: (name, series) for series, names in (
       symptoms={'unread bytes'},
       accounts_for={*SILENCE, *DAMAGE, 'hasty instructions', 'late answers',
                     'absence of several', 'damaged first bytes', 'silent bus', 'unasked answers',
-                    'no acknowledgements', 'wrong length', 'restart', 'slow cycle', 'busy line'})
+                    'no acknowledgements', 'wrong length', 'restart', 'slow cycle', 'busy line',
+                    'joint at rest', 'refused value'})       # a value may be of another question
 def unread_answers(case: Case) -> Claims:
     """
     It asks in the middle of an answer, or reads old ones.

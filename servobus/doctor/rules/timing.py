@@ -38,6 +38,7 @@ from servobus.doctor.facts import gives_up_at_once
 from servobus.doctor.facts import is_collision
 from servobus.doctor.facts import is_overlaid
 from servobus.doctor.facts import ran_into_answers
+from servobus.doctor.facts import reads_too_soon
 from servobus.doctor.facts import SAME_DELAY_NS
 from servobus.doctor.facts import WAITS_WINDOW_S
 from servobus.doctor.rhythm import answer_ns
@@ -199,7 +200,7 @@ def impatient_master(case: Case) -> Claims:
             Claim(f'{words}: its time-out is shorter than the answers take; raise it',
                   {'repeated': again.total()})
         return
-    hasty = gives_up_at_once(case)
+    hasty = gives_up_at_once(case) or reads_too_soon(case)
     if hasty and (_reads_few(case, hasty) if case.has_sides else
                   case.damage >= INCIDENTS_MIN and any(case.recent_counts(
                       device, WAITS_WINDOW_S).answers for device in case.devices)):

@@ -18,7 +18,7 @@ from servobus.tools.doctor.verdict import make_verdict
 
 FAMILIES = '2', '1', 'feetech'
 MODELS = Models()
-ADVICE = {'cycle_time'}            # is right at level OK, too
+ADVICE = {'cycle_time', 'echo'}    # is right at level OK, too
 
 
 class Result(NamedTuple):
@@ -83,6 +83,8 @@ def play(kind, family, seed, stutter=0.0):
     examination.finish(examination.last, True, ended)
     verdict = make_verdict('x', examination.buses(True), 1.0, True)
     found = {one.rule for one in verdict.wrong if one.level > Level.OK or one.rule in ADVICE}
+    if stutter and not program.clears:     # after one stop it reads old answers for ever
+        fine = fine | {'unread_answers'}
     return judge(found, [f'{one.who} {one.rule}: {one.message}; try: {one.step}'
                          for one in verdict.not_sure], right, fine,
                  [f'{one.rule} {one.who}: {one.message}' for one in verdict.wrong])
