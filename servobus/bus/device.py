@@ -30,6 +30,7 @@ from servobus.model.control_table import UNKNOWN
 from servobus.model.layout import GOAL_AT
 from servobus.model.layout import order_of
 from servobus.model.layout import PLACE_AT
+from servobus.model.layout import SPEED_AT
 from servobus.model.layout import Use
 from servobus.model.layout import USE_MAX_BYTES
 
@@ -135,7 +136,8 @@ class Device:
     def all_uses(self) -> frozenset[Use]:
         """Return what a program uses of it, and the order of bytes that makes sense there."""
         if self.dialect is FEETECH:
-            self.used |= order_of(*(self.table.bytes(at, 2) for at in (PLACE_AT, GOAL_AT)))
+            place, speed, goal = (self.table.bytes(at, 2) for at in (PLACE_AT, SPEED_AT, GOAL_AT))
+            self.used |= order_of(place or speed, goal)
         return frozenset(self.used)
 
     def is_defined_by(self, address: int, size: int) -> bool:

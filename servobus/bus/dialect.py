@@ -23,8 +23,8 @@ WEAK_VOTE = 1
 # Of Dynamixel: Torque Enable to Moving Speed, Present Position. Of Feetech: Torque Enable,
 # Acceleration and Goal Position, Present Position and more. The other has something else there.
 DYNAMIXEL_AT = {(24, 1), (25, 1), (30, 2), (30, 4), (32, 2), (36, 2), (36, 4), (36, 6), (36, 8)}
-FEETECH_AT = {(41, 7), (42, 2), (42, 6), (55, 1), (56, 2), (56, 4), (56, 6), (56, 8), (56, 15),
-              (58, 2), (60, 2), (62, 1), (63, 1)}
+FEETECH_AT = {(41, 7), (42, 2), (42, 6), (55, 1)}
+FEETECH_READS = range(56, 67)      # Present Position and more; no Dynamixel has a register there
 _READ = 0x02
 _LOCKS = 0x03, (55, 1)             # a write of Lock: no Dynamixel 1.0 has a register there
 _BY_NAME = {'1': DYNAMIXEL_1, 'feetech': FEETECH}
@@ -55,7 +55,7 @@ class DialectChoice:
             return self._vote(DYNAMIXEL_1, WEAK_VOTE)
         if code in FEETECH.entries and code not in DYNAMIXEL_1.entries:
             return self._vote(FEETECH, STRONG_VOTE)
-        if where in FEETECH_AT:
+        if where in FEETECH_AT or (where is not None and where[0] in FEETECH_READS):
             return self._vote(FEETECH, STRONG_VOTE if (code, where) == _LOCKS else WEAK_VOTE)
         return False
 

@@ -183,7 +183,8 @@ def gives_up_at_once(case: Case) -> int:
 
 def reads_too_soon(case: Case) -> int:
     """Return how often a program read before any answer could come, 0 if it mostly waits."""
-    waits = [one.us for one in case.waits(WAITS_WINDOW_S) if one.us] if case.has_sides else []
+    waits = [one.us for one in case.waits(WAITS_WINDOW_S) if one.us
+             and one.instruction not in WRITES] if case.has_sides else []
     return len(waits) if len(waits) >= HASTY_MIN_WAITS and median(waits) < FACTORY_DELAY_US else 0
 
 

@@ -50,7 +50,7 @@ _BASIC = ('ID', 'Baud Rate', 'Lock')
 _WHERE_USED = ('Min Position Limit', 'Max Position Limit', 'CW Angle Limit', 'CCW Angle Limit',
                'Operating Mode', 'Torque Limit')
 POSITIONS = ('Goal Position', 'Present Position')      # signed in some tables
-PLACE_AT, GOAL_AT = 56, 42         # positions of Feetech
+PLACE_AT, SPEED_AT, GOAL_AT = 56, 58, 42      # positions and velocity of Feetech
 # What a register can hold, in its unit. Of positions: by size, in rad and in steps.
 _RANGES = {'Torque Enable': 1, 'Present Temperature': 120, 'Present Input Voltage': 400}
 _FARTHEST = {2: (2 * pi, 4095), 4: (512 * pi, 1 << 22)}

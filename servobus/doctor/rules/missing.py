@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from itertools import pairwise
 from operator import ne
@@ -69,6 +70,7 @@ GOAL_MOVES_STEPS = 20              # a goal that changes less may be held by fri
 STOPPED_MIN_S = 1.0                # two reports at the usual 2 Hz: one may be before it starts
 STILL_MIN_S = 2.5                  # the same where its torque was not read
 FOLLOW_WINDOW_S = 4.0              # samples of so long show whether it follows
+STEPS_MIN_GOALS = 2                # one may be chance
 VELOCITY_CONTROL = 1               # a value of Operating Mode (e-Manual; Feetech, STS table)
 TURN_ONSET_S = 1.5                 # by then it turns, however it accelerates
 _DECIDES_TURNING = {'Velocity Limit': 'Velocity Limit (a goal beyond it is refused)',
@@ -78,7 +80,7 @@ _MOTION = _PLACE, 'Torque Enable'
 _PLACE_AND_MODE = _PLACE, 'Operating Mode'
 # Values of Operating Mode in which goals are positions (e-Manual), and those of Feetech.
 _POSITION_MODES = (3, 4, 5), (0, 3)
-_FORCES = 'Torque Limit', 'Goal PWM', 'PWM Limit'      # with 0 in one it has none
+_FORCES = 'Torque Limit', 'Goal Torque', 'Goal PWM', 'PWM Limit'      # 0 in one: it has none
 _OF_THE_MASTER = ", and that the program uses the servos' baud rate, protocol and ID"
 
 
@@ -547,7 +549,7 @@ def torque_off(case: Case, device: DeviceReport) -> Found | None:
       accounts_for={'joint at rest'})
 def operating_mode(case: Case, device: DeviceReport) -> Found | None:
     """
-    It turns past its goals, or its mode has no goal positions.
+    It turns past its goals, moves by them, or its mode has no goal positions.
 
     Do: write its Operating Mode.
     """
@@ -569,10 +571,32 @@ def operating_mode(case: Case, device: DeviceReport) -> Found | None:
             and is_of_one_turn(goal.field):
         return Claim('its goals are within one turn, and it turns on and on past them, as in '
                      f'velocity or PWM mode: {remedy}', rests_on=_PLACE_AND_MODE)
+    if is_feetech and device.id in case.turned and _moves_by_its_goals(case.samples[device.id]):
+        return Claim('it moves by its goals, not to them, as in step mode: '
+                     f'{remedy}', rests_on=_PLACE_AND_MODE)
     if mode is None or not _does_not_follow(_since_it_moved(_recent_samples(case, device.id))):
         return None
     return Claim(f'its Operating Mode is {mode.value.text}, in which goal positions do '
                  f'nothing: {remedy}', rests_on=_PLACE_AND_MODE)
+
+
+def _moves_by_its_goals(samples: Iterable[Sample]) -> bool:
+    """Tell whether each new goal moves a joint by so many steps, and not to that place."""
+    known = [(one.goal, one.position) for one in samples
+             if one.goal is not None and one.position is not None]
+    ends = [before for before, after in pairwise(known) if before[0] != after[0]]
+    if len(known) > 1 and known[-2] == known[-1]:
+        ends.append(known[-1])                 # it is at rest
+    way = 0.0
+    for (_, start), (goal, end) in pairwise(ends):
+        if not _is_at((start + goal) % TURN_STEPS, end) or _is_at(goal, end):
+            return False
+        way = max(way, abs(end - start))
+    return len(ends) > STEPS_MIN_GOALS and way > GOAL_FAR_STEPS
+
+
+def _is_at(place: float, position: float) -> bool:
+    return abs(place - position) <= GOAL_MOVES_STEPS
 
 
 def _force_at_zero(case: Case, device: DeviceReport) -> str:

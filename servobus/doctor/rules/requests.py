@@ -403,11 +403,14 @@ def goal_limits(case: Case, device: DeviceReport) -> Found | None:
     if ev.REFUSED in case.incidents_by_kind and (refusal := _value_refused(case, device)):
         return refusal
     values = case.values[device.id]
+    is_feetech = device.model.protocol == FEETECH.protocol
+    if is_feetech and (swapped := _goals_swapped(case, device)):
+        return swapped
     for name in _RATES:
         if f'Goal {name}' in values and f'{name} Limit' in values \
                 and (beyond := _rate_beyond(name, values)):
             return beyond
-    if device.model.protocol == FEETECH.protocol and 'Goal Velocity' in values \
+    if is_feetech and 'Goal Velocity' in values \
             and (otherwise := _sign_otherwise(values['Goal Velocity'])):
         return otherwise
     return _position_beyond(case, device) if 'Goal Position' in values else None
@@ -448,7 +451,8 @@ def _sign_otherwise(goal: Observed) -> Found | None:
     code = int(goal.value.raw)
     # Who means as fast as it can, sends the greatest number or a round one.
     if goal.source != 'w' or goal.field.sign_bit != SIGN_AT \
-            or not SPEED_MIN <= WORD - code <= NEGATIVE_MAX or not code % SIGN_BIT % ROUND_SPEED:
+            or not SPEED_MIN <= WORD - code <= NEGATIVE_MAX or not code % SIGN_BIT % ROUND_SPEED \
+            or not _swapped(goal.field, code) % ROUND_SPEED:
         return None
     return Claim(f'Goal Velocity 0x{code:X} is {SIGN_BIT - code}, faster than any servo: bit '
                  f'{SIGN_AT} is its sign, the others are its speed; {code - WORD} is '
@@ -478,17 +482,25 @@ def _position_beyond(case: Case, device: DeviceReport) -> Found | None:
     if goal.source != 'w' or (has_mode and values['Operating Mode'].value.raw != (
             0 if is_feetech else POSITION_CONTROL)):
         return None
-    if is_feetech and (swapped := _goals_swapped(case, device, goal.field)):
-        return swapped
     names = _ANGLE_LIMITS if device.model.protocol == '1' else _POSITION_LIMITS
     if names[1] in values:
         low, high = (raw_value(case, device, name) or 0 for name in names)
         if low < high and _are_limits(device, values, names[0], high - low):
             return _goals_held_back(case, device, names, low, high)
     if device.model.protocol == '1' or (is_feetech and not values.keys().isdisjoint(names)) \
-            or not is_of_one_turn(goal.field):
+            or not (_is_scs(goal.field) or is_of_one_turn(goal.field)):
         return None                            # Feetech: both are 0 where it has none
     return _goals_beyond_a_turn(case, device, goal.field, has_mode)
+
+
+def _is_scs(field: Field) -> bool:
+    """Tell whether a position is that of an SCS servo: high byte first, and no turns."""
+    return field.byte_order == 'big'
+
+
+def _highest_goal(field: Field) -> int:
+    """Return the highest position of one turn, or of the travel of an SCS."""
+    return (SCS_STEPS if _is_scs(field) else TURN_STEPS) - 1
 
 
 def _are_limits(device: DeviceReport, values: dict[str, Observed], lower: str,
@@ -500,28 +512,37 @@ def _are_limits(device: DeviceReport, values: dict[str, Observed], lower: str,
     return device.model.protocol == FEETECH.protocol or lower in values or within_turn
 
 
-def _goals_swapped(case: Case, device: DeviceReport, field: Field) -> Found | None:
+def _goals_swapped(case: Case, device: DeviceReport) -> Found | None:
     """Look for goals of which some cannot be, and with their bytes swapped all can, of late."""
-    is_big = field.byte_order == 'big'
-    top = SCS_STEPS - 1 if is_big else TURN_STEPS - 1
-    clear = {}
+    clear = _clearly_swapped_goals(case, device)
+    if not clear or len({goal for other in case.devices
+                         for goal in _clearly_swapped_goals(case, other)}) < GOALS_BEYOND_MIN:
+        return None
+    goal, meant = max(clear.items())
+    field = device.model.by_name['Goal Position']
+    mine, other_one = ('high', 'low') if _is_scs(field) else ('low', 'high')
+    return Claim(f'goals as {goal} are sent, beyond 0 to {_highest_goal(field)}; with their two '
+                 f'bytes swapped all are within ({meant}): it takes the {mine} byte first, the '
+                 f'program sends the {other_one} one first, as to another series: swap them, also '
+                 'in what it reads', {'as sent': goal, 'swapped': meant},
+                 rests_on=('Goal Position',))
+
+
+def _clearly_swapped_goals(case: Case, device: DeviceReport) -> dict[float, float]:
+    """Return goals that cannot be, and what they are with their bytes swapped, as all can be."""
+    goal = case.values[device.id].get('Goal Position')
+    if goal is None or goal.source != 'w' or raw_value(case, device, 'Operating Mode'):
+        return {}
+    top, clear = _highest_goal(goal.field), {}
     for one in reversed(case.samples.get(device.id, ())):
         if one.goal is None:
             continue                           # between two reports
-        swapped = _swapped(field, one.goal)
+        swapped = _swapped(goal.field, one.goal)
         if not (0 <= swapped <= top and 0 <= (one.position or 0) <= top):
             break
         if one.goal > top and swapped >= BYTE:         # whole turns, swapped, are small numbers
             clear[one.goal] = swapped
-    if len(clear) < GOALS_BEYOND_MIN:
-        return None
-    goal, meant = max(clear.items())
-    mine, other = ('high', 'low') if is_big else ('low', 'high')
-    return Claim(f'goals as {goal} are sent, beyond 0 to {top}; with their two '
-                 f'bytes swapped all are within ({meant}): it takes the {mine} byte first, the '
-                 f'program sends the {other} one first, as to another series: swap them, also in '
-                 'what it reads', {'as sent': goal, 'swapped': meant},
-                 rests_on=('Goal Position',))
+    return clear
 
 
 def _goals_held_back(case: Case, device: DeviceReport, names: tuple[str, str], low: float,
@@ -543,12 +564,12 @@ def _goals_held_back(case: Case, device: DeviceReport, names: tuple[str, str], l
 def _goals_beyond_a_turn(case: Case, device: DeviceReport, field: Field,
                          is_certain: bool) -> Found | None:
     """Look for goals beyond a turn, where no limits are known and it does not go there."""
-    samples = case.samples.get(device.id, ())
-    beyond = [one for one in samples if one.goal is not None and not 0 <= one.goal < TURN_STEPS]
+    samples, top = case.samples.get(device.id, ()), _highest_goal(field)
+    beyond = [one for one in samples if one.goal is not None and not 0 <= one.goal <= top]
     if len(beyond) < GOALS_BEYOND_MIN:
         return None
     places = [one.position for one in beyond if one.position is not None]
-    still = sum(0 <= two < TURN_STEPS and abs(one - two) <= STILL_MAX_STEPS
+    still = sum(0 <= two <= top and abs(one - two) <= STILL_MAX_STEPS
                 for one, two in pairwise(places))
     is_feetech = device.model.protocol == FEETECH.protocol
     torque = case.values[device.id].get('Torque Enable')
@@ -556,16 +577,17 @@ def _goals_beyond_a_turn(case: Case, device: DeviceReport, field: Field,
         torque.value.raw == 1 if torque is not None else device.window.writes >= INCIDENTS_MIN)
     moved_before = still >= GOALS_BEYOND_MIN \
         and not {*places}.issuperset(one.position for one in samples)
-    # In another mode, or without limits, it would go there.
-    if not (is_at_rest or moved_before or (is_certain and not is_feetech)):
+    # In another mode, or without limits, it would go there; an SCS never.
+    has_no_turns = _is_scs(field) and all(0 <= place <= top for place in places)
+    if not (is_at_rest or moved_before or has_no_turns or (is_certain and not is_feetech)):
         return None
     remedy = 'keep them within, and read Min and Max Position Limit' if is_feetech else \
         'keep them within, or set Extended Position Control Mode' if is_certain or moved_before \
         else 'keep them within, and read Operating Mode and Torque Enable'
     who = 'it does not go to' if is_feetech else 'Position Control Mode refuses'
     last = beyond[-1].goal or 0.0
-    return Claim(f'goals beyond 0 to {TURN_STEPS - 1} are sent'
-                 f'{_meant(field, last, 0, TURN_STEPS - 1)}, which {who}: {remedy}',
+    return Claim(f'goals beyond 0 to {top} are sent'
+                 f'{_meant(field, last, 0, top)}, which {who}: {remedy}',
                  {'the last': last}, rests_on=('Goal Position', 'Operating Mode'))
 
 

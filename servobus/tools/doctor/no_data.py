@@ -20,7 +20,7 @@ from servobus.tools.doctor.program_source import Ending
 _IMPORT_ERRORS = ('ModuleNotFoundError', 'ImportError')
 
 # How pyserial and LeRobot name a port that does not open, and Python a device.
-_PORT = re.compile(r"\b(?:open|on) port '?(.+?)'?[:.] |: '(/dev/[^']+)'")
+_PORT = re.compile(r"\b(?:open|on|lock) port '?(.+?)'?[:.] |: '(/dev/[^']+)'")
 
 
 def of_program(command: Sequence[str], ports: Sequence[str], ending: Ending) -> list[str]:
