@@ -231,6 +231,20 @@ def reads_by_count(of_2, size=8):
         waiting = waiting[size:]
 
 
+def reads_its_echo(size):
+    """Read a count of bytes of what an adapter echoes and servos answer; never clear the input."""
+    waiting = b''
+    for turn in range(10_000):
+        number = 1 + turn % 2
+        asked = packet(number, 2, 56, 2)
+        yield 3, '', Change(UNREAD, len(waiting))
+        yield 0, OUT, asked
+        echo = asked if turn % 4 else asked[:-1] + b'\0'      # the answer came into it
+        waiting += echo + packet(number, 0, turn % 200, 1)
+        yield 1, IN, waiting[:size]
+        waiting = waiting[size:]
+
+
 @pytest.mark.parametrize(('said', 'failed', 'found'), [
     *((played(parts), failed, found) for found, failed, *parts in yaml.safe_load(
         Path(__file__).with_name('foreign_programs.yaml').read_text())),
@@ -249,6 +263,7 @@ def reads_by_count(of_2, size=8):
     (follows(lambda turn, goal: goal - 200 // (1 + turn % 30)), '', ''),
     (reads_by_count(2), '', 'duplicate_id'), (reads_by_count(1), '', ''),
     (reads_by_count(1, 7), '', 'unread_answers'),
+    (reads_its_echo(11), '', 'echo'),
     (one_way(3, 4300), '', 'goal_limits'), (one_way(4, 4300), '', ''),
     (one_way(3, 2000), '', ''),
     (lost_acks(3), '', 'missed_answers'), (lost_acks(8), '', ''),
