@@ -48,8 +48,11 @@ class EchoCounter:
         if self._before and len(self._came) >= _CODE_AT:
             self._count_echoes(self._is_late_answer())
             self._before = b''
-        while self._came and (sent := self._find_sent()):
+        while self._sent and ((at := self._came.find(self._sent[0])) >= 0
+                              or (self._waiting and (at := self._skip_damaged()) >= 0)):
+            sent = self._sent.popleft()
             size = len(sent)
+            self._came = self._came[at + size:]
             before, self._alone = self._alone or sent, b'' if self._came else sent
             is_echo = size > (READ_BYTES if before == self._alone else PING_BYTES) \
                 or bool(self._came and not self._sent)
@@ -62,15 +65,14 @@ class EchoCounter:
         return codes == bytes((_PING, _READ)) \
             and self._came[:_CODE_AT] == self._before[:_CODE_AT]
 
-    def _find_sent(self) -> bytes:
-        """Return the next write that came back, and forget what came till then; b'': none did."""
-        for number, sent in enumerate(islice(self._sent, SEARCHED_WRITES)):
+    def _skip_damaged(self) -> int:
+        """Forget writes before the next that came back whole; return where it is, -1: nowhere."""
+        for number, sent in enumerate(islice(self._sent, 1, SEARCHED_WRITES), 1):
             if (at := self._came.find(sent)) >= 0:
-                for _ in range(number + 1):        # those before it were damaged on the wire
+                for _ in range(number):
                     self._sent.popleft()
-                self._came = self._came[at + len(sent):]
-                return sent
-        return b''
+                return at
+        return -1
 
     def count_waiting(self, waiting: int) -> None:
         """Take how many bytes came or wait since; one write has one answer."""

@@ -488,7 +488,7 @@ def _position_beyond(case: Case, device: DeviceReport) -> Found | None:
         if low < high and _are_limits(device, values, names[0], high - low):
             return _goals_held_back(case, device, names, low, high)
     if device.model.protocol == '1' or (is_feetech and not values.keys().isdisjoint(names)) \
-            or not (_is_scs(goal.field) or is_of_one_turn(goal.field)):
+            or not (is_of_one_turn(goal.field) or _is_scs(goal.field)):
         return None                            # Feetech: both are 0 where it has none
     return _goals_beyond_a_turn(case, device, goal.field, has_mode)
 

@@ -104,7 +104,7 @@ SLOW_ANSWER_MS = 0.4               # reply latency: Return Delay Time from the f
       symptoms={'two rhythms'},
       accounts_for={*DAMAGE, 'hasty instructions', 'late answers', 'second answers',
                     'unasked answers', 'damaged first bytes', 'absence of several',
-                    'wrong length'})
+                    'wrong length', 'slow cycle', 'unread bytes'})
 def two_masters(case: Case) -> Claims:
     """
     Two independent rhythms of instructions.
@@ -123,9 +123,10 @@ def two_masters(case: Case) -> Claims:
     lost = sum(one.window.missed for one in case.devices if one.id not in case.gone)
     harm = lost + case.damage + case.count(ev.LATE) + INCIDENTS_MIN * case.count(ev.UNASKED)
     if STOLE_REPLIES in case.report.users or (case.report.users and harm >= INCIDENTS_MIN):
+        figures = {'missed answers': lost, 'damaged packets': case.damage}
         yield Claim(f'{", ".join(case.report.users)} uses this port too, and answers get '
                     'lost or damaged: let only one use it',
-                    {'missed answers': lost, 'damaged packets': case.damage}, is_certain=True)
+                    {name: number for name, number in figures.items() if number}, is_certain=True)
         return
     hasty = sum(not one.is_spoilt and one.us < FACTORY_DELAY_US for one in case.waits(WINDOW_S))
     if case.has_sides and min(harm, hasty) < INCIDENTS_MIN:
@@ -204,9 +205,10 @@ def impatient_master(case: Case) -> Claims:
     if hasty and (_reads_few(case, hasty) if case.has_sides else
                   case.damage >= INCIDENTS_MIN and any(case.recent_counts(
                       device, WAITS_WINDOW_S).answers for device in case.devices)):
-        yield Claim('the master does not wait for answers and sends during them: it gives '
-                    f'up within {FACTORY_DELAY_US} us, before a servo with factory settings '
-                    'answers; raise its time-out', {'given up at once': hasty})
+        yield Claim('the master does not wait for answers and sends during them: it asks on '
+                    f'within {FACTORY_DELAY_US} us, before a servo with factory settings '
+                    'answers; let it wait for each answer, also between threads or tasks (a '
+                    'lock), and raise its time-out', {'given up at once': hasty})
         return
     thrown = sum(one.detail.instruction not in WRITES for one in case.incidents(ev.THROWN_AWAY))
     if thrown >= THROWN_AWAY_MIN:
