@@ -231,6 +231,20 @@ def reads_by_count(of_2, size=8):
         waiting = waiting[size:]
 
 
+def leaves_acknowledgements():
+    """Write to two servos, leave the acknowledgements unread, and read a position of each."""
+    waiting = b''
+    for turn in range(10_000):
+        for instruction, data in (3, (42, turn % 250, 4)), (2, (56, 2)):
+            for number in 1, 2:
+                yield 3, '', Change(UNREAD, len(waiting))
+                yield 0, OUT, packet(number, instruction, *data)
+                waiting += packet(number, 0, *((turn % 200, 1) if instruction == 2 else ()))
+                if instruction == 2:
+                    yield 1, IN, waiting[:8]
+                    waiting = waiting[8:]
+
+
 def reads_its_echo(size):
     """Read a count of bytes of what an adapter echoes and servos answer; never clear the input."""
     waiting = b''
@@ -264,6 +278,7 @@ def reads_its_echo(size):
     (reads_by_count(2), '', 'duplicate_id'), (reads_by_count(1), '', ''),
     (reads_by_count(1, 7), '', 'unread_answers'),
     (reads_its_echo(11), '', 'echo'),
+    (leaves_acknowledgements(), '', 'unread_answers'),
     (one_way(3, 4300), '', 'goal_limits'), (one_way(4, 4300), '', ''),
     (one_way(3, 2000), '', ''),
     (lost_acks(3), '', 'missed_answers'), (lost_acks(8), '', ''),

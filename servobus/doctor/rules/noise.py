@@ -480,7 +480,9 @@ def duplicate_id(case: Case, device: DeviceReport) -> Found | None:
                      'input before each question')
     if not models and not (is_enough and twice >= SECOND_ANSWERS_FACTOR * others):
         return None
-    if case.count(ev.STALE) >= INCIDENTS_MIN and twice < case.count(ev.SECOND_ANSWER):
+    second = case.count(ev.SECOND_ANSWER)
+    if (case.count(ev.STALE) >= INCIDENTS_MIN and twice < second) \
+            or (case.count(ev.TAKEN_FOR) >= INCIDENTS_MIN and 2 * twice <= second):
         return None                    # several devices: the program reads old answers
     also = ', by two models' if window.model_changes >= 2 else ''
     return Claim(f'answered twice{also}: two devices have this ID; unplug one and '
