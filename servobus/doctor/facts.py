@@ -9,12 +9,15 @@ talked at the same time, which no cable and no ground can mend.
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Callable
 from collections.abc import Iterable
 from functools import lru_cache
 from itertools import pairwise
 from math import inf
 from math import isclose
 from math import tau
+from operator import itemgetter
 from operator import sub
 from statistics import median
 from typing import NamedTuple
@@ -39,8 +42,11 @@ from servobus.doctor.bit_errors import packet_of
 from servobus.doctor.bit_errors import TWO_SENDERS
 from servobus.doctor.bit_errors import wrong_bits
 from servobus.doctor.case import Case
+from servobus.doctor.case import Sample
 from servobus.doctor.rhythm import WRITES
+from servobus.doctor.thresholds import GOAL_MOVES_STEPS
 from servobus.doctor.thresholds import INCIDENTS_MIN
+from servobus.doctor.thresholds import STILL_MAX_STEPS
 from servobus.doctor.thresholds import TURN_STEPS
 from servobus.model.control_table import Field
 
@@ -54,6 +60,9 @@ WAITS_WINDOW_S = 3.0               # a master that waits in vain now
 HASTY_MIN_WAITS = 10               # fewer are those of damage
 HASTY_MIN_SHARE = 0.7              # share of the vain waits
 FACTORY_DELAY_US = 500             # Return Delay Time as from the factory (e-Manual)
+AWAY_MIN_MS = 100                  # shorter than any start; longer than an answer or two lost
+STOPPED_MIN_S = 1.0                # two reports at the usual 2 Hz: one may be before it starts
+FOLLOW_WINDOW_S = 4.0              # samples of so long show whether it follows
 SUPPLY = 'Present Input Voltage', 'Min Voltage Limit', 'Max Voltage Limit'
 SINGLE_WRITES = (Instruction.WRITE, Instruction.REG_WRITE)
 # Error numbers of a status (e-Manual, Protocol 2.0).
@@ -192,6 +201,54 @@ def first_of_groups(incidents: list[Incident[D]]) -> list[Incident[D]]:
     """Return the first of each group of incidents that are close: one delay has many answers."""
     return incidents[:1] + [one for before, one in pairwise(incidents)
                             if one.stamp - before.stamp > SAME_DELAY_NS]
+
+
+# --- joints and goals ---------------------------------------------------------------------------
+
+def does_not_follow(samples: list[Sample]) -> bool:
+    """Tell whether the goal moves and the position does not."""
+    samples = samples[1:]
+    if len(samples) < 2 or samples[-1].stamp - samples[0].stamp < STOPPED_MIN_S * NS_PER_S:
+        return False
+    return span([one.goal for one in samples]) >= GOAL_MOVES_STEPS \
+        and 0 <= span([one.position for one in samples]) <= STILL_MAX_STEPS
+
+
+def recent_samples(case: Case, number: int) -> list[Sample]:
+    since = case.now - FOLLOW_WINDOW_S * NS_PER_S
+    return [one for one in case.samples.get(number, ()) if one.stamp > since]
+
+
+def since_it_moved(samples: list[Sample]) -> list[Sample]:
+    """Return the samples since a joint moved last, with that one."""
+    last = samples[-1].position if samples else None
+    moved = [at for at, one in enumerate(samples) if one.position is not None
+             and last is not None and abs(one.position - last) > STILL_MAX_STEPS]
+    return samples[moved[-1] if moved else 0:]
+
+
+def absences(case: Case, device: DeviceReport | None = None) -> list[Incident[ev.SilentFor]]:
+    """Return the returns after an absence that no Reboot or Factory Reset accounts for."""
+    if not case.count(ev.RETURNED):
+        return []
+    ordered = {one.device for one in case.incidents(ev.REBOOTED)}
+    return [one for one in case.incidents(ev.RETURNED, device)
+            if one.detail.ms >= AWAY_MIN_MS and one.device not in ordered]
+
+
+def most_refused(case: Case, device: DeviceReport,
+                  is_meant: Callable[[ev.Refusal], bool]) -> tuple[int, int, int]:
+    """Return the address that it refused most, with which error, and how often."""
+    found = Counter(one.detail[1:] for one in case.incidents(ev.REFUSED, device)
+                    if is_meant(one.detail))
+    return max(((*what, count) for what, count in found.items()), key=itemgetter(2),
+               default=(-1, 0, 0))
+
+
+def least_refusals(case: Case, device: DeviceReport, few: int) -> int:
+    """Return how many refusals say something: one on which a program ended does."""
+    found = case.incidents(ev.REFUSED, device)
+    return 1 if case.failed and found and found[-1].stamp >= case.report.asked else few
 
 
 # --- two senders at once -------------------------------------------------------------------------

@@ -14,6 +14,7 @@ DIP_MAX_SHARE = 0.9                # share of the voltage: lower before, and the
 STILL_MIN_REPORTS = 6              # at rest in so many reports: it is not on its way
 TURN_STEPS = 4096                  # in models of X and MX (e-Manual)
 STILL_MAX_STEPS = 6                # a joint that holds its place is read within so many
+GOAL_MOVES_STEPS = 20              # a goal that changes less may be held by friction
 GOAL_FAR_STEPS = 200               # farther than what holds a joint bends
 ADAPTER_HOLD_US = 20_000           # so long an adapter may hold an answer back (latency timer)
 LONG_WAIT_MS = 50                  # a time-out that no sound servo and adapter needs

@@ -6,6 +6,7 @@ from servobus.bus.report import Finding
 from servobus.doctor.rule import Rule
 from servobus.doctor.rules import devices
 from servobus.doctor.rules import feetech
+from servobus.doctor.rules import goals
 from servobus.doctor.rules import missing
 from servobus.doctor.rules import noise
 from servobus.doctor.rules import requests
@@ -18,6 +19,7 @@ FAMILIES: dict[str, tuple[Rule, ...]] = {
     'Servos that were never set up': setup.RULES,
     'Noise and unknown bytes': noise.RULES,
     'Devices are missing': missing.RULES,
+    'Goals and joints': goals.RULES,
     'The devices themselves': devices.RULES,
     'Time': timing.RULES,
     'What the program does': requests.RULES,

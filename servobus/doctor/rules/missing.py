@@ -4,10 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
-from itertools import pairwise
-from operator import ne
 from statistics import median
 
 from msg_defs.diagnostics import Level
@@ -20,21 +17,17 @@ from servobus.bus import report as words
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import Incident
 from servobus.bus.table import IDENTITY
-from servobus.bus.table import Observed
 from servobus.bus.unread import HUNG_WAIT_NS
 from servobus.doctor.case import Case
 from servobus.doctor.case import is_waiting
 from servobus.doctor.case import Sample
-from servobus.doctor.case import SPEED_AT_REST
-from servobus.doctor.case import speed_of
+from servobus.doctor.facts import absences
+from servobus.doctor.facts import does_not_follow
 from servobus.doctor.facts import fatal_late_answer
 from servobus.doctor.facts import fatal_wait
 from servobus.doctor.facts import first_of_groups
-from servobus.doctor.facts import is_of_one_turn
 from servobus.doctor.facts import is_off
 from servobus.doctor.facts import is_rate_search
-from servobus.doctor.facts import is_watched
-from servobus.doctor.facts import raw_value
 from servobus.doctor.facts import span
 from servobus.doctor.rhythm import WRITES
 from servobus.doctor.rule import about
@@ -50,37 +43,16 @@ from servobus.doctor.rule import share
 from servobus.doctor.symptom import SILENCE
 from servobus.doctor.thresholds import ADAPTER_HOLD_US
 from servobus.doctor.thresholds import DIP_MAX_SHARE
-from servobus.doctor.thresholds import GOAL_FAR_STEPS
+from servobus.doctor.thresholds import GOAL_MOVES_STEPS
 from servobus.doctor.thresholds import GONE_S
 from servobus.doctor.thresholds import INCIDENTS_MIN
 from servobus.doctor.thresholds import LONG_WAIT_MS
-from servobus.doctor.thresholds import SPEED_MIN
-from servobus.doctor.thresholds import STILL_MAX_STEPS
-from servobus.doctor.thresholds import TURN_STEPS
-from servobus.doctor.thresholds import WINDOW_S
 
-AWAY_MIN_MS = 100                  # shorter than any start; longer than an answer or two lost
 RETURN_SETTLED_S = 2.0             # by then a restart has shown
 TICK_TURN_S, TICK_SLACK_S = 32.768, 0.5        # Realtime Tick begins at 0 again (e-Manual)
 MISSED_MIN_SHARE = 0.01            # share of its answers; fewer are lost on a healthy bus too
 LATE_MIN_SHARE = 0.1               # share of its answers; fewer are late by chance
 ACKS_MISSED_LIMIT = 4              # as `missed_limit`
-JUMP_NS = NS_PER_S                 # a slower one is a motion with a set speed
-GOAL_MOVES_STEPS = 20              # a goal that changes less may be held by friction
-STOPPED_MIN_S = 1.0                # two reports at the usual 2 Hz: one may be before it starts
-STILL_MIN_S = 2.5                  # the same where its torque was not read
-FOLLOW_WINDOW_S = 4.0              # samples of so long show whether it follows
-STEPS_MIN_GOALS = 2                # one may be chance
-VELOCITY_CONTROL = 1               # a value of Operating Mode (e-Manual; Feetech, STS table)
-TURN_ONSET_S = 1.5                 # by then it turns, however it accelerates
-_DECIDES_TURNING = {'Velocity Limit': 'Velocity Limit (a goal beyond it is refused)',
-                    'Torque Enable': 'Torque Enable', 'Operating Mode': 'Operating Mode'}
-_PLACE = 'Present Position'
-_MOTION = _PLACE, 'Torque Enable'
-_PLACE_AND_MODE = _PLACE, 'Operating Mode'
-# Values of Operating Mode in which goals are positions (e-Manual), and those of Feetech.
-_POSITION_MODES = (3, 4, 5), (0, 3)
-_FORCES = 'Torque Limit', 'Goal Torque', 'Goal PWM', 'PWM Limit'      # 0 in one: it has none
 _OF_THE_MASTER = ", and that the program uses the servos' baud rate, protocol and ID"
 
 
@@ -96,12 +68,12 @@ def brown_out(case: Case) -> Claims:
 
     Do: check battery, cable gauge, peak load.
     """
-    absences = _absences(case)
-    if not absences:
+    found = absences(case)
+    if not found:
         return
-    last = max(absences, key=lambda one: one.stamp)
+    last = max(found, key=lambda one: one.stamp)
     begin = last.stamp - last.detail.ms * NS_PER_MS
-    together = [one for one in absences if one.stamp > begin]
+    together = [one for one in found if one.stamp > begin]
     if len({one.device for one in together}) == 1:     # others waited for it, unasked
         together += [other for number, device in case.by_id.items()
                      if number != last.device and device.window.not_served and not device.alert
@@ -389,7 +361,7 @@ def rebooted(case: Case, device: DeviceReport) -> Found | None:
     """
     if device.window.spoilt * 2 > device.window.missed:
         return None
-    for one in _absences(case, device):
+    for one in absences(case, device):
         proof = _restart_proof(case, one)
         if proof and _talks_since(case, one):
             return Claim(f'restarted by itself, no answers for {one.detail.ms} ms '
@@ -411,12 +383,12 @@ def dropout(case: Case, device: DeviceReport) -> Found | None:
     if device.window.spoilt * 2 > device.window.missed \
             or (totals.data_missed and totals.answers == totals.pongs):
         return None                    # or it answers Pings only
-    absences = [one for one in _absences(case, device)
-                if one.detail.missed >= INCIDENTS_MIN and _talks_since(case, one)
-                and (case.now - one.stamp > RETURN_SETTLED_S * NS_PER_S or case.report.is_over)]
-    if not absences or sum(one.detail.missed for one in absences) * 2 < device.window.missed:
+    gaps = [one for one in absences(case, device)
+            if one.detail.missed >= INCIDENTS_MIN and _talks_since(case, one)
+            and (case.now - one.stamp > RETURN_SETTLED_S * NS_PER_S or case.report.is_over)]
+    if not gaps or sum(one.detail.missed for one in gaps) * 2 < device.window.missed:
         return None                    # else answers are lost by chance
-    away = max(one.detail.ms for one in absences)
+    away = max(one.detail.ms for one in gaps)
     others = [other for other in case.devices if other.id != device.id]
     supply = ', or the supply of all: nothing else was heard either' \
         if others and all(other.window.not_served for other in others) else ''
@@ -425,7 +397,7 @@ def dropout(case: Case, device: DeviceReport) -> Found | None:
     unserved = f', and {first_ids(after, 2)} after it not served' if after else ''
     return Claim(f'no answers for {away} ms{unserved}: a loose plug{where} or a restart{supply}; '
                  'read Torque Enable or Realtime Tick to find out',
-                 {'absences': len(absences), 'longest (ms)': away})
+                 {'absences': len(gaps), 'longest (ms)': away})
 
 
 def _neighbours(case: Case, device: DeviceReport) -> tuple[list[int], int | None]:
@@ -438,15 +410,6 @@ def _neighbours(case: Case, device: DeviceReport) -> tuple[list[int], int | None
             if after:
                 return after, cycle.ids[at - 1] if at else None
     return [], None
-
-
-def _absences(case: Case, device: DeviceReport | None = None) -> list[Incident[ev.SilentFor]]:
-    """Return the returns after an absence that no Reboot or Factory Reset accounts for."""
-    if not case.count(ev.RETURNED):
-        return []
-    ordered = {one.device for one in case.incidents(ev.REBOOTED)}
-    return [one for one in case.incidents(ev.RETURNED, device)
-            if one.detail.ms >= AWAY_MIN_MS and one.device not in ordered]
 
 
 def _talks_since(case: Case, back: Incident[ev.SilentFor]) -> bool:
@@ -478,7 +441,7 @@ def _restart_proof(case: Case, back: Incident[ev.SilentFor]) -> str:
     device = case.by_id.get(back.device)
     if device is not None and not device.alert \
             and 2 * back.detail.missed >= device.window.missed \
-            and _does_not_follow(after) and not _does_not_follow(before) \
+            and does_not_follow(after) and not does_not_follow(before) \
             and span([one.position for one in before]) >= GOAL_MOVES_STEPS:
         return 'no longer follows its goal'        # one of many short absences is a plug
     return ''
@@ -491,239 +454,6 @@ def _tick_jumped(before: Sample, after: Sample) -> bool:
     off = abs(expected - after.tick)
     return TICK_SLACK_S < off < TICK_TURN_S - TICK_SLACK_S and after.tick < expected
 
-
-# --- a joint and its goal ------------------------------------------------------------------------
-
-@Rule(needs_registers={'Present Position'},
-      symptoms={'joint at rest'})
-def torque_off(case: Case, device: DeviceReport) -> Found | None:
-    """
-    Goals change, and the joint does not move.
-
-    They are on both sides of it, or leave it twice, or nothing set the torque, or its limit is 0.
-
-    Do: switch the torque on, or free the joint.
-    """
-    samples = _since_it_moved(_recent_samples(case, device.id))
-    place = case.values[device.id]['Present Position']
-    if place.source != 'r' or place.age_s > STOPPED_MIN_S or device.alert \
-            or not _does_not_follow(samples):
-        return None                    # or its error says why
-    torque, goal = map(case.values[device.id].get, ('Torque Enable', 'Goal Position'))
-    if torque is not None and not torque.value.raw and (
-            torque.age_s < FOLLOW_WINDOW_S if torque.source == 'r'
-            else goal is not None and goal.age_s < torque.age_s):
-        return Claim('goals are sent to it, but its torque is off: switch it on '
-                     '(Torque Enable 1); after a restart, write all its settings again',
-                     rests_on=_MOTION)
-    force = _force_at_zero(case, device)
-    if force:
-        return Claim(f'goals are sent to it, but its {force} is 0, so it has no force: write '
-                     'more to that', rests_on=(_PLACE, force))
-    may_hold = device.id in case.turned and not _absences(case, device)
-    if (torque is None or torque.source == 'w') \
-            and is_watched(case, device, place) and _is_ignored(
-                [*case.samples[device.id]], 0.1 / (place.field.scale or 0.001), may_hold):
-        first = 'read Torque Enable and Operating Mode' \
-            if torque is not None and 'Operating Mode' in device.model.by_name \
-            else 'write 1 to Torque Enable'
-        return Claim('goals leave its position on both sides or repeatedly, and it '
-                     f'does not move: {first}, or check its motor and what '
-                     'blocks it', rests_on=_MOTION)
-    if may_hold or (
-            torque is not None and torque.value.raw and not _absences(case, device)):
-        return None                    # it is on, so something holds it, or it is where it can be
-    who = ', others do' if _others_move(case, device, samples) else ''
-    if not who and torque is None and case.has_sides and device.model.protocol == '2' \
-            and span([one.goal for one in samples[1:]]) >= GOAL_FAR_STEPS:
-        who = ', nothing set its torque'
-    if samples[-1].stamp - samples[0].stamp < STILL_MIN_S * NS_PER_S or not who:
-        return None
-    return Claim(f'its goal changes but the joint does not move{who}: its '
-                 'torque is off or it is blocked; read Torque Enable, switch it on',
-                 rests_on=_MOTION)
-
-
-@Rule(needs_registers={'Goal Position', _PLACE},
-      symptoms={'joint at rest'},
-      accounts_for={'joint at rest'})
-def operating_mode(case: Case, device: DeviceReport) -> Found | None:
-    """
-    It turns past its goals, moves by them, or its mode has no goal positions.
-
-    Do: write its Operating Mode.
-    """
-    values = case.values[device.id]
-    goal, place = values['Goal Position'], values[_PLACE]
-    if goal.source != 'w' or place.source != 'r' or place.age_s > STOPPED_MIN_S or device.alert:
-        return None
-    torque, mode = values.get('Torque Enable'), values.get('Operating Mode')
-    if is_off(torque):
-        return None
-    is_feetech = device.model.protocol == 'feetech'
-    if mode is not None and (mode.value.raw in _POSITION_MODES[is_feetech] or (
-            mode.source == 'w' and mode.age_s < goal.age_s)):
-        return None
-    remedy = 'write its angle limits: with 0 in both it is a wheel' \
-        if device.model.protocol == '1' else 'write 0 (position) to Operating Mode, with Lock 0' \
-        if is_feetech else 'switch its torque off, write 3 (position) to Operating Mode'
-    if device.id in case.turned and _turns_past_goals(case, device) \
-            and is_of_one_turn(goal.field):
-        return Claim('its goals are within one turn, and it turns on and on past them, as in '
-                     f'velocity or PWM mode: {remedy}', rests_on=_PLACE_AND_MODE)
-    if is_feetech and device.id in case.turned and _moves_by_its_goals(case.samples[device.id]):
-        return Claim('it moves by its goals, not to them, as in step mode: '
-                     f'{remedy}', rests_on=_PLACE_AND_MODE)
-    if mode is None or not _does_not_follow(_since_it_moved(_recent_samples(case, device.id))):
-        return None
-    return Claim(f'its Operating Mode is {mode.value.text}, in which goal positions do '
-                 f'nothing: {remedy}', rests_on=_PLACE_AND_MODE)
-
-
-def _moves_by_its_goals(samples: Iterable[Sample]) -> bool:
-    """Tell whether each new goal moves a joint by so many steps, and not to that place."""
-    known = [(one.goal, one.position) for one in samples
-             if one.goal is not None and one.position is not None]
-    ends = [before for before, after in pairwise(known) if before[0] != after[0]]
-    if len(known) > 1 and known[-2] == known[-1]:
-        ends.append(known[-1])                 # it is at rest
-    way = 0.0
-    for (_, start), (goal, end) in pairwise(ends):
-        if not _is_at((start + goal) % TURN_STEPS, end) or _is_at(goal, end):
-            return False
-        way = max(way, abs(end - start))
-    return len(ends) > STEPS_MIN_GOALS and way > GOAL_FAR_STEPS
-
-
-def _is_at(place: float, position: float) -> bool:
-    return abs(place - position) <= GOAL_MOVES_STEPS
-
-
-def _force_at_zero(case: Case, device: DeviceReport) -> str:
-    """Return the register which leaves a servo without force, '' if there is none."""
-    return next((name for name in _FORCES if raw_value(case, device, name) == 0), '')
-
-
-def _turns_past_goals(case: Case, device: DeviceReport) -> bool:
-    """Tell whether a joint goes half a turn and more in one way, away from goals in one turn."""
-    samples = case.samples[device.id]
-    if len(samples) <= INCIDENTS_MIN or abs(
-            (samples[-1].position or 0) - (samples[-2].position or 0)) <= GOAL_FAR_STEPS:
-        return False                           # it does not turn now
-    known = [(one.goal, one.position) for one in samples
-             if one.goal is not None and one.position is not None]
-    if not all(0 <= goal < TURN_STEPS and 0 <= place < TURN_STEPS for goal, place in known):
-        return False
-    half = TURN_STEPS // 2
-    steps = [(two - one + half) % TURN_STEPS - half for (_, one), (_, two) in pairwise(known)]
-    way = 1 if sum(steps) > 0 else -1
-    beyond = [way * (place - goal) > GOAL_FAR_STEPS for goal, place in known]
-    away = sum(before and after and way * step > GOAL_FAR_STEPS
-               for (before, after), step in zip(pairwise(beyond), steps, strict=True))
-    return way * sum(steps) >= half and min(way * step for step in steps) >= -STILL_MAX_STEPS \
-        and away >= INCIDENTS_MIN
-
-
-@Rule(level=Level.OK, needs_registers={'Goal Position', _PLACE, 'Torque Enable'})
-def torque_jump(case: Case, device: DeviceReport) -> Found | None:
-    """
-    Torque was switched on far from its goal: it jumped there.
-
-    Do: write its position as goal first.
-    """
-    values = case.values[device.id]
-    torque, goal = values['Torque Enable'], values['Goal Position']
-    if torque.source != 'w' or torque.value.raw != 1 or goal.source != 'w' \
-            or not torque.age_s < min(goal.age_s, WINDOW_S):
-        return None
-    since = case.stamp_ago(torque.age_s)
-    known = [one for one in case.samples[device.id]
-             if one.torque is not None and one.position is not None]
-    before = [one for one in known if one.stamp < since]
-    after = [one for one in known if since < one.stamp < since + JUMP_NS]
-    if not before or not after or before[-1].torque != 0:
-        return None
-    way, left = (abs(goal.value.raw - (one[-1].position or 0)) for one in (before, after))
-    if way <= GOAL_FAR_STEPS or left > GOAL_MOVES_STEPS:
-        return None
-    return Claim(f'its torque was switched on {way:.0f} steps from its old goal, and it went '
-                 'there at once: write its position to Goal Position before')
-
-
-@Rule(onset_s=TURN_ONSET_S, needs_registers={'Goal Velocity', 'Present Velocity'},
-      symptoms={'joint at rest'})
-def wheel_stopped(case: Case, device: DeviceReport) -> Found | None:
-    """
-    A velocity is asked for, and it never turns.
-
-    Do: read Velocity Limit, Torque Enable and Operating Mode.
-    """
-    values = case.values[device.id]
-    goal, now = values['Goal Velocity'], values['Present Velocity']
-    if device.alert or goal.source != 'w' or now.source != 'r' or now.age_s > STOPPED_MIN_S \
-            or speed_of(goal) < SPEED_MIN or speed_of(now) > SPEED_AT_REST \
-            or not _is_in_velocity_control(device, values):
-        return None
-    if device.id in case.turned:
-        return Doubt(f'velocity {goal.value.raw} is asked for, and it does not turn any more: '
-                     'blocked, or it holds something')
-    unread = [words for name, words in _DECIDES_TURNING.items() if name not in values]
-    remedy = 'its torque is off: write 1 to Torque Enable' \
-        if is_off(values.get('Torque Enable')) else \
-        f'read {", ".join(unread)}' if unread else 'check what blocks it, and its supply'
-    return Claim(f'velocity {goal.value.raw} is asked for, and it does not turn: {remedy}',
-                 rests_on=('Present Velocity', 'Goal Velocity'))
-
-
-def _is_in_velocity_control(device: DeviceReport, values: dict[str, Observed]) -> bool:
-    """Tell whether Goal Velocity makes it turn; with Profile Velocity it is that of a motion."""
-    mode, place = map(values.get, ('Operating Mode', 'Goal Position'))
-    if mode is not None:
-        return mode.value.raw == VELOCITY_CONTROL
-    return 'Profile Velocity' in device.model.by_name and (place is None or place.source != 'w')
-
-
-def _others_move(case: Case, device: DeviceReport, samples: list[Sample]) -> bool:
-    """Tell whether another joint moves while this one does not."""
-    since = samples[1].stamp
-    return any(span([one.position for one in _recent_samples(case, other) if one.stamp >= since])
-               >= GOAL_MOVES_STEPS for other in case.samples if other != device.id)
-
-
-def _does_not_follow(samples: list[Sample]) -> bool:
-    """Tell whether the goal moves and the position does not."""
-    samples = samples[1:]
-    if len(samples) < 2 or samples[-1].stamp - samples[0].stamp < STOPPED_MIN_S * NS_PER_S:
-        return False
-    return span([one.goal for one in samples]) >= GOAL_MOVES_STEPS \
-        and 0 <= span([one.position for one in samples]) <= STILL_MAX_STEPS
-
-
-def _recent_samples(case: Case, number: int) -> list[Sample]:
-    since = case.now - FOLLOW_WINDOW_S * NS_PER_S
-    return [one for one in case.samples.get(number, ()) if one.stamp > since]
-
-
-def _since_it_moved(samples: list[Sample]) -> list[Sample]:
-    """Return the samples since a joint moved last, with that one."""
-    last = samples[-1].position if samples else None
-    moved = [at for at, one in enumerate(samples) if one.position is not None
-             and last is not None and abs(one.position - last) > STILL_MAX_STEPS]
-    return samples[moved[-1] if moved else 0:]
-
-
-def _is_ignored(samples: list[Sample], least: float, may_hold: bool) -> bool:
-    """
-    Tell whether no goal moves a joint, on both sides of it, or away from it and back again.
-
-    One that is blocked ignores one side, as a gripper does that has closed and holds something.
-    """
-    ways = [one.goal - one.position for one in samples[1:]
-            if one.goal is not None and one.position is not None]
-    ends = [abs(one) > least for one in ways if not least / 3 < abs(one) < 3 * least]
-    is_repeated = not may_hold and sum(map(ne, ends, ends[1:])) > 2
-    return _does_not_follow(samples) and (is_repeated or min(
-        sum(one > least for one in ways), sum(one < -least for one in ways)) > 1)
 
 
 # --- partly there --------------------------------------------------------------------------------
@@ -778,5 +508,5 @@ def missed_answers(case: Case, device: DeviceReport) -> Found | None:
                   'missed': f'{lost} of {window.asked}'})
 
 
-RULES = (brown_out, all_silent, broken_cable, sync_read_stops, no_answer, rebooted, torque_off,
-    operating_mode, torque_jump, wheel_stopped, ping_only, dropout, missed_answers)
+RULES = (brown_out, all_silent, broken_cable, sync_read_stops, no_answer, rebooted,
+    ping_only, dropout, missed_answers)

@@ -5,9 +5,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
-from itertools import pairwise
-from operator import itemgetter
 
 from msg_defs.diagnostics import Level
 from msg_defs.dxl1_instruction import DYNAMIXEL_1
@@ -26,17 +23,15 @@ from servobus.bus.report import CONNECTED
 from servobus.bus.report import Cycle
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import RATE_REFUSED
-from servobus.bus.table import Observed
 from servobus.doctor.bad_packets import repeated_bad_packet
 from servobus.doctor.case import Case
 from servobus.doctor.case import Names
-from servobus.doctor.case import SIGN_BIT
 from servobus.doctor.facts import ACCESS_ERROR
 from servobus.doctor.facts import fatal_wait
 from servobus.doctor.facts import INSTRUCTION_ERROR
-from servobus.doctor.facts import is_of_one_turn
+from servobus.doctor.facts import least_refusals
 from servobus.doctor.facts import LENGTH_ERROR
-from servobus.doctor.facts import LIMIT_ERROR
+from servobus.doctor.facts import most_refused
 from servobus.doctor.facts import RANGE_ERROR
 from servobus.doctor.facts import raw_value
 from servobus.doctor.facts import SINGLE_WRITES
@@ -52,24 +47,8 @@ from servobus.doctor.symptom import DAMAGE
 from servobus.doctor.symptom import SILENCE
 from servobus.doctor.thresholds import INCIDENTS_MIN
 from servobus.doctor.thresholds import LONG_WAIT_MS
-from servobus.doctor.thresholds import SPEED_MIN
-from servobus.doctor.thresholds import STILL_MAX_STEPS
-from servobus.doctor.thresholds import STILL_MIN_REPORTS
-from servobus.doctor.thresholds import TURN_STEPS
-from servobus.model.control_table import Field
 from servobus.model.control_table import UNKNOWN
 
-SIGN_AT = 15                       # the bit of a velocity of Feetech that is its sign
-NEGATIVE_MAX = 8192                # as two's complement; without it 24576: no servo is so fast
-ROUND_SPEED = 100
-SCS_STEPS = 1024                   # over the travel of an SCS
-BYTE = 256
-POSITION_CONTROL = 3               # a value of Operating Mode (e-Manual)
-GOALS_BEYOND_MIN = 2               # one may be a slip of a person
-WORD = 65_536
-_RATES = 'Velocity', 'Current', 'PWM'
-_POSITION_LIMITS = 'Min Position Limit', 'Max Position Limit'
-_ANGLE_LIMITS = 'CW Angle Limit', 'CCW Angle Limit'    # with Protocol 1.0
 EEPROM_WRITES_MIN = 30             # in 10 s: no start-up writes as many
 POLLED_MIN_READS = 20              # from a device that was never written
 POLLED_MIN_S = 3.0                 # by then each is written that will be, and models are known
@@ -344,8 +323,8 @@ def eeprom_locked(case: Case, device: DeviceReport) -> Found | None:
     """
     torque = raw_value(case, device, 'Torque Enable')
     # Where it is on, that explains one.
-    least = _least_refusals(case, device, INCIDENTS_MIN) if torque is None else 1
-    address, _, count = _most_refused(case, device, lambda one: (
+    least = least_refusals(case, device, INCIDENTS_MIN) if torque is None else 1
+    address, _, count = most_refused(case, device, lambda one: (
         one.instruction in SINGLE_WRITES and _is_locked(device, one)))
     if count < least or torque == 0:
         return None
@@ -369,9 +348,9 @@ def wrong_address(case: Case, device: DeviceReport) -> Found | None:
 
     Do: use the control table of this model.
     """
-    address, error, count = _most_refused(case, device, lambda one: (
+    address, error, count = most_refused(case, device, lambda one: (
         one.error in (ACCESS_ERROR, LENGTH_ERROR, RANGE_ERROR) and not _is_locked(device, one)))
-    if count < _least_refusals(case, device, INCIDENTS_MIN):
+    if count < least_refusals(case, device, INCIDENTS_MIN):
         return None
     return Claim(f'address {address} refused {count} times '
                  f'({error_text(error)}): {_what_is_there(device, address, error)}',
@@ -390,207 +369,6 @@ def _what_is_there(device: DeviceReport, address: int, error: int) -> str:
     return f'{field.name} ({field.access}, {field.size} bytes) does not allow this access'
 
 
-@Rule(symptoms={'refused value'},
-      accounts_for={'refused access', 'joint at rest'})
-def goal_limits(case: Case, device: DeviceReport) -> Found | None:
-    """
-    Values beyond its limits (Data Limit, in 1.0 angle limit), refused or not.
-
-    Once is enough where the program ended on it. Also swapped bytes, a wrong sign.
-
-    Do: limit the goals, or set wider limits.
-    """
-    if ev.REFUSED in case.incidents_by_kind and (refusal := _value_refused(case, device)):
-        return refusal
-    values = case.values[device.id]
-    is_feetech = device.model.protocol == FEETECH.protocol
-    if is_feetech and (swapped := _goals_swapped(case, device)):
-        return swapped
-    for name in _RATES:
-        if f'Goal {name}' in values and f'{name} Limit' in values \
-                and (beyond := _rate_beyond(name, values)):
-            return beyond
-    if is_feetech and 'Goal Velocity' in values \
-            and (otherwise := _sign_otherwise(values['Goal Velocity'])):
-        return otherwise
-    return _position_beyond(case, device) if 'Goal Position' in values else None
-
-
-def _value_refused(case: Case, device: DeviceReport) -> Found | None:
-    address, _, count = _most_refused(case, device, lambda one: (
-        one.error == LIMIT_ERROR and one.instruction in SINGLE_WRITES))
-    if count < _least_refusals(case, device, GOALS_BEYOND_MIN):
-        return None
-    field = device.model.by_address.get(address)
-    mode = device.model.by_name.get('Operating Mode')
-    is_mode_refused = mode is not None and 'Operating Mode' not in case.values[device.id] and any(
-        at == mode.at and error == ACCESS_ERROR for _, at, error in device.errors)
-    remedy = 'they may be those of another Operating Mode, of which the write was refused' \
-        if is_mode_refused else \
-        'keep goals within these, or set wider ones (as Max Position Limit)'
-    return Claim(f'value for {field.name if field else f"address {address}"} refused, beyond its '
-                 f'limits: {remedy}', {'refused': count})
-
-
-def _rate_beyond(name: str, values: dict[str, Observed]) -> Found | None:
-    """Look for a velocity, current or PWM beyond its limit; nothing answers a Sync Write."""
-    goal, limit = values[f'Goal {name}'], values[f'{name} Limit']
-    if goal.source != 'w' or not limit.value.raw \
-            or abs(goal.value.raw) <= limit.value.raw \
-            or (limit.source == 'w' and limit.age_s < goal.age_s):     # it was wider then
-        return None
-    most = limit.value.raw
-    return Claim(f'Goal {name} {goal.value.raw} is beyond its {name} Limit of {most}, so it '
-                 f'is refused{_meant(goal.field, goal.value.raw, -most, most)}: send less, '
-                 'or set a wider limit',
-                 rests_on=(f'Goal {name}', f'{name} Limit'))
-
-
-def _sign_otherwise(goal: Observed) -> Found | None:
-    """Look for a negative velocity that a servo of Feetech reads as one faster than any."""
-    code = int(goal.value.raw)
-    # Who means as fast as it can, sends the greatest number or a round one.
-    if goal.source != 'w' or goal.field.sign_bit != SIGN_AT \
-            or not SPEED_MIN <= WORD - code <= NEGATIVE_MAX or not code % SIGN_BIT % ROUND_SPEED \
-            or not _swapped(goal.field, code) % ROUND_SPEED:
-        return None
-    return Claim(f'Goal Velocity 0x{code:X} is {SIGN_BIT - code}, faster than any servo: bit '
-                 f'{SIGN_AT} is its sign, the others are its speed; {code - WORD} is '
-                 f'0x{SIGN_BIT | (WORD - code):X}', rests_on=('Goal Velocity',))
-
-
-def _meant(field: Field, raw: float, low: float, high: float) -> str:
-    """Return what a value that cannot be may have been meant as, as words in brackets."""
-    swapped = _swapped(field, raw)
-    if low <= swapped <= high and abs(raw) > 2 * high:             # not just beyond
-        return f' (in the other order of bytes it is {swapped})'
-    is_negative = WORD // 2 <= raw < WORD and WORD - raw < raw % SIGN_BIT
-    return f' (as two bytes with sign it is {raw - WORD:.0f})' if is_negative else ''
-
-
-def _swapped(field: Field, raw: float) -> float:
-    """Return a raw value with its bytes in the other order."""
-    code = int(raw) % (1 << 8 * field.size)            # its bytes without a sign
-    return field.decode(field.bytes_of(code)[::-1]).raw
-
-
-def _position_beyond(case: Case, device: DeviceReport) -> Found | None:
-    """Look for goals beyond the limits, or beyond a turn."""
-    values = case.values[device.id]
-    goal, is_feetech = values['Goal Position'], device.model.protocol == FEETECH.protocol
-    has_mode = 'Operating Mode' in values
-    if goal.source != 'w' or (has_mode and values['Operating Mode'].value.raw != (
-            0 if is_feetech else POSITION_CONTROL)):
-        return None
-    names = _ANGLE_LIMITS if device.model.protocol == '1' else _POSITION_LIMITS
-    if names[1] in values:
-        low, high = (raw_value(case, device, name) or 0 for name in names)
-        if low < high and _are_limits(device, values, names[0], high - low):
-            return _goals_held_back(case, device, names, low, high)
-    if device.model.protocol == '1' or (is_feetech and not values.keys().isdisjoint(names)) \
-            or not (is_of_one_turn(goal.field) or _is_scs(goal.field)):
-        return None                            # Feetech: both are 0 where it has none
-    return _goals_beyond_a_turn(case, device, goal.field, has_mode)
-
-
-def _is_scs(field: Field) -> bool:
-    """Tell whether a position is that of an SCS servo: high byte first, and no turns."""
-    return field.byte_order == 'big'
-
-
-def _highest_goal(field: Field) -> int:
-    """Return the highest position of one turn, or of the travel of an SCS."""
-    return (SCS_STEPS if _is_scs(field) else TURN_STEPS) - 1
-
-
-def _are_limits(device: DeviceReport, values: dict[str, Observed], lower: str,
-                width: float) -> bool:
-    """Tell whether position limits so far apart are in force; the upper one is known."""
-    within_turn = width < TURN_STEPS - 1       # with both at the end of a turn, an MX counts turns
-    if device.model.protocol == '2':
-        return lower in values and within_turn and 'Operating Mode' in values
-    return device.model.protocol == FEETECH.protocol or lower in values or within_turn
-
-
-def _goals_swapped(case: Case, device: DeviceReport) -> Found | None:
-    """Look for goals of which some cannot be, and with their bytes swapped all can, of late."""
-    clear = _clearly_swapped_goals(case, device)
-    if not clear or len({goal for other in case.devices
-                         for goal in _clearly_swapped_goals(case, other)}) < GOALS_BEYOND_MIN:
-        return None
-    goal, meant = max(clear.items())
-    field = device.model.by_name['Goal Position']
-    mine, other_one = ('high', 'low') if _is_scs(field) else ('low', 'high')
-    return Claim(f'goals as {goal} are sent, beyond 0 to {_highest_goal(field)}; with their two '
-                 f'bytes swapped all are within ({meant}): it takes the {mine} byte first, the '
-                 f'program sends the {other_one} one first, as to another series: swap them, also '
-                 'in what it reads', {'as sent': goal, 'swapped': meant},
-                 rests_on=('Goal Position',))
-
-
-def _clearly_swapped_goals(case: Case, device: DeviceReport) -> dict[float, float]:
-    """Return goals that cannot be, and what they are with their bytes swapped, as all can be."""
-    goal = case.values[device.id].get('Goal Position')
-    if goal is None or goal.source != 'w' or raw_value(case, device, 'Operating Mode'):
-        return {}
-    top, clear = _highest_goal(goal.field), {}
-    for one in reversed(case.samples.get(device.id, ())):
-        if one.goal is None:
-            continue                           # between two reports
-        swapped = _swapped(goal.field, one.goal)
-        if not (0 <= swapped <= top and 0 <= (one.position or 0) <= top):
-            break
-        if one.goal > top and swapped >= BYTE:         # whole turns, swapped, are small numbers
-            clear[one.goal] = swapped
-    return clear
-
-
-def _goals_held_back(case: Case, device: DeviceReport, names: tuple[str, str], low: float,
-                     high: float) -> Found | None:
-    """Look for goals beyond limits that were read."""
-    beyond = {one.goal for one in case.samples.get(device.id, ())
-              if one.goal is not None and not low <= one.goal <= high}
-    if not beyond or (len(beyond) < GOALS_BEYOND_MIN and device.window.writes < INCIDENTS_MIN):
-        return None                            # it was sent once
-    farthest = max(beyond, key=lambda goal: abs(2 * goal - low - high))
-    field = device.model.by_name['Goal Position']
-    effect = 'it stops there' if device.model.protocol == FEETECH.protocol else 'it refuses them'
-    return Claim(f'goals beyond its limits of {low} to {high} are sent'
-                 f'{_meant(field, farthest, low, high)}: {effect}; keep goals within them, or '
-                 f'set wider ones ({names[0].partition(" ")[0]} and {names[1]})',
-                 {'the farthest': farthest}, rests_on=('Goal Position', *names))
-
-
-def _goals_beyond_a_turn(case: Case, device: DeviceReport, field: Field,
-                         is_certain: bool) -> Found | None:
-    """Look for goals beyond a turn, where no limits are known and it does not go there."""
-    samples, top = case.samples.get(device.id, ()), _highest_goal(field)
-    beyond = [one for one in samples if one.goal is not None and not 0 <= one.goal <= top]
-    if len(beyond) < GOALS_BEYOND_MIN:
-        return None
-    places = [one.position for one in beyond if one.position is not None]
-    still = sum(0 <= two <= top and abs(one - two) <= STILL_MAX_STEPS
-                for one, two in pairwise(places))
-    is_feetech = device.model.protocol == FEETECH.protocol
-    torque = case.values[device.id].get('Torque Enable')
-    is_at_rest = still >= STILL_MIN_REPORTS and (
-        torque.value.raw == 1 if torque is not None else device.window.writes >= INCIDENTS_MIN)
-    moved_before = still >= GOALS_BEYOND_MIN \
-        and not {*places}.issuperset(one.position for one in samples)
-    # In another mode, or without limits, it would go there; an SCS never.
-    has_no_turns = _is_scs(field) and all(0 <= place <= top for place in places)
-    if not (is_at_rest or moved_before or has_no_turns or (is_certain and not is_feetech)):
-        return None
-    remedy = 'keep them within, and read Min and Max Position Limit' if is_feetech else \
-        'keep them within, or set Extended Position Control Mode' if is_certain or moved_before \
-        else 'keep them within, and read Operating Mode and Torque Enable'
-    who = 'it does not go to' if is_feetech else 'Position Control Mode refuses'
-    last = beyond[-1].goal or 0.0
-    return Claim(f'goals beyond 0 to {top} are sent'
-                 f'{_meant(field, last, 0, top)}, which {who}: {remedy}',
-                 {'the last': last}, rests_on=('Goal Position', 'Operating Mode'))
-
-
 @Rule(needs_incident=(ev.REFUSED,),
       symptoms={'refused access'})
 def refused(case: Case, device: DeviceReport) -> Found | None:
@@ -599,28 +377,13 @@ def refused(case: Case, device: DeviceReport) -> Found | None:
 
     Do: set its model in `devices`.
     """
-    address, error, count = _most_refused(case, device, lambda one: one.address >= 0)
+    address, error, count = most_refused(case, device, lambda one: one.address >= 0)
     if count < INCIDENTS_MIN or device.model.number is not None:
         return None
     last = case.incidents(ev.REFUSED, device)[-1].detail
     return Claim(f'refuses {name_of(last.instruction)} at {address} '
                  f'({error_text(error)}): set its model in {case.names.devices} to learn '
                  'which register that is', {'refused': count})
-
-
-def _most_refused(case: Case, device: DeviceReport,
-                  is_meant: Callable[[ev.Refusal], bool]) -> tuple[int, int, int]:
-    """Return the address that it refused most, with which error, and how often."""
-    found = Counter(one.detail[1:] for one in case.incidents(ev.REFUSED, device)
-                    if is_meant(one.detail))
-    return max(((*what, count) for what, count in found.items()), key=itemgetter(2),
-               default=(-1, 0, 0))
-
-
-def _least_refusals(case: Case, device: DeviceReport, few: int) -> int:
-    """Return how many refusals say something: one on which a program ended does."""
-    found = case.incidents(ev.REFUSED, device)
-    return 1 if case.failed and found and found[-1].stamp >= case.report.asked else few
 
 
 # --- how it goes on ------------------------------------------------------------------------------
@@ -941,6 +704,6 @@ def _may_come_late(case: Case, device: DeviceReport) -> bool:
 
 
 RULES = (rate_refused, port_lost, port_reopened, line_mode, unread_answers, wrong_packets,
-    eeprom_locked, wrong_address, goal_limits, refused, impossible_id, master_stopped, scan,
+    eeprom_locked, wrong_address, refused, impossible_id, master_stopped, scan,
     models, eeprom_wear, fast_read_unsupported, sync_read_unsupported, group_read_unanswered,
     unstuffed, no_acks, never_written, no_action)
