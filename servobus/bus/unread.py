@@ -358,7 +358,7 @@ class UnreadAnswers:
         if device.accept_late_reply(stamp, self.late_reply_ns):
             self._evidence.add_incident(stamp, ev.LATE, device.number, 0)
         elif not data and device.counts.writes:
-            device.accept_ack()                # of an earlier write
+            device.accept_ack()                # it acknowledges an earlier write
         elif before.asks(device, len(data)) or (
                 len(self.deferred) < QUESTIONS_KEPT and device.counts.answers > OWN_ANSWERS_MIN):
             self._evidence.add_incident(stamp, ev.SECOND_ANSWER, device.number,

@@ -220,7 +220,8 @@ def line_mode(case: Case) -> Claims:
 
 
 @Rule(subject='bus', level=Level.ERROR,
-      accounts_for={*SILENCE, *DAMAGE, 'no packets', 'silent bus', 'slow cycle'})
+      accounts_for={*SILENCE, *DAMAGE, 'damaged first bytes', 'no packets', 'silent bus',
+                    'slow cycle'})
 def wrong_packets(case: Case) -> Claims:
     """
     Packets of the program with a wrong checksum, CRC or Length, or nothing that is a packet.
