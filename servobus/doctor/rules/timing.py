@@ -90,7 +90,7 @@ NO_WAIT_US = 50                    # less than any answer takes on the wire
 LATE_ONE_MAX_SHARE = 0.6           # share of what is late: of more, one device is slow
 THROWN_AWAY_MIN = 10               # answers: a program may clear its input at its start
 ACKS_HIT_MIN_SHARE = 0.7           # share of the spoilt answers, which come right after a write
-AFTER_WRITE_MAX_SHARE = 0.1        # share of the questions: noise would hit as few of them
+HIT_BY_CHANCE = 0.0015             # that noise hits just the questions after a write
 AFTER_WRITE_NS = 2 * NS_PER_MS     # as far as chunks tell time
 LATE_MIN_SHARE = 0.02              # share of the answers; a busy computer delays less
 CYCLE_MIN_SHARE = 0.5              # share of the cycle: most of it
@@ -266,14 +266,16 @@ def _questions_into_acks(case: Case) -> int:
     spoilt = [wait.stamp - 1000 * wait.us for wait in case.waits(WINDOW_S) if wait.is_spoilt]
     if len(spoilt) < INCIDENTS_MIN:
         return 0
-    writes = sorted(stamp for cycle in case.cycles for stamp in cycle.stamps
-                    if cycle.instruction == Instruction.WRITE and not _acknowledges(case, cycle))
+    writes = sorted([stamp for cycle in case.cycles for stamp in cycle.stamps
+                     if cycle.instruction == Instruction.WRITE and not _acknowledges(case, cycle)]
+                    + [wait.stamp for wait in case.waits(WINDOW_S)      # it was not out yet
+                       if wait.instruction == Instruction.WRITE and wait.us < 0])
     asked = [stamp for cycle in case.cycles if cycle.instruction not in WRITES
              for stamp in cycle.stamps]
     times = sum(_is_after(writes, stamp) for stamp in spoilt)
     usual = sum(_is_after(writes, stamp) for stamp in asked)
     return times if times >= max(INCIDENTS_MIN, ACKS_HIT_MIN_SHARE * len(spoilt)) \
-        and usual <= AFTER_WRITE_MAX_SHARE * len(asked) else 0
+        and (usual / max(1, len(asked))) ** times <= HIT_BY_CHANCE else 0
 
 
 def _acknowledges(case: Case, cycle: Cycle) -> bool:
