@@ -477,7 +477,7 @@ def duplicate_id(case: Case, device: DeviceReport) -> Found | None:
                      'devices have this ID; unplug one and change the ID of the other',
                      {'answers': window.overlong_replies})
     is_enough = twice >= (1 if at_end else INCIDENTS_MIN)
-    if case.count(ev.STALE) and _answers_twice(case) == device.id:
+    if case.count(ev.STALE) and not case.count(ev.SPLIT) and _answers_twice(case) == device.id:
         return Claim('of what the program reads too late, twice as much is from this ID: two '
                      'devices have it; unplug one and change the ID of the other, and clear the '
                      'input before each question')
