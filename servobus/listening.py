@@ -189,20 +189,16 @@ class SourceListening(Listening):
                               'inside of it')
         self._has_run = True
         until = None if seconds is None else time.monotonic() + seconds
-        is_over = True
+        is_over = False
         for chunk in self._source.chunks():
             with self._lock:
-                if chunk is not None:
-                    self._examination.feed_chunk(chunk, self._source.wire(chunk.bus))
-                elif self._source.is_live:
-                    self._examination.pass_time(time.monotonic_ns())
+                self._examination.feed_from(self._source, chunk)
             if until is not None and time.monotonic() >= until:
-                is_over = not self._source.is_live
                 break
+        else:
+            is_over = True
         with self._lock:
-            now = time.monotonic_ns() if self._source.is_live else \
-                max(self._source.ended, self._examination.last)
-            self._examination.finish(now, is_over)
+            self._examination.finish_source(self._source, is_over)
 
     def _close(self) -> None:
         self._source.close()

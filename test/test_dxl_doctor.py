@@ -273,6 +273,13 @@ def test_a_file_to_the_screen_and_to_programs(tmp_path):
         == [('no_answer', 4)]
 
 
+def test_the_begin_of_a_file_is_no_master_that_stopped(tmp_path):
+    done = doctor(capture(tmp_path / 'bus.txt'), '--seconds', '2', '--json')
+    found = json.loads(done.stdout)
+    assert (done.returncode, found['wrong']) == (WELL, [])
+    assert {device['state'] for device in found['buses'][0]['devices']} == {'connected'}
+
+
 def parts(schema):
     """Yield all objects of a schema."""
     if isinstance(schema, dict):

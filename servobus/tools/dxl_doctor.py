@@ -20,7 +20,6 @@ from servobus.bus.decoder import PROTOCOLS
 from servobus.doctor.finding_log import BusSummary
 from servobus.errors import ParameterError
 from servobus.errors import UsageError
-from servobus.examination import ARRIVAL_NS
 from servobus.examination import ENOUGH_TRAFFIC_S
 from servobus.examination import Examination
 from servobus.examination import GIVE_UP_SILENCE_S
@@ -168,20 +167,18 @@ class _DoctorRun:
         """Listen until there is enough; return for how long (s): of the file, or by the clock."""
         source, examination = self._source, self._examination
         began_s = time.monotonic()
-        is_over = True
+        is_over = False
         try:
             for chunk in source.chunks():
-                if chunk is not None:
-                    examination.feed_chunk(chunk, source.wire(chunk.bus))
-                elif source.is_live:
-                    examination.pass_time(time.monotonic_ns() - ARRIVAL_NS)
+                examination.feed_from(source, chunk)
                 now_s = time.monotonic() - began_s
                 if self._has_enough(now_s):
-                    is_over = False
                     break
                 self._show_progress(now_s)
+            else:
+                is_over = True
         except KeyboardInterrupt:
-            is_over = not source.is_live
+            pass
         finally:
             self._progress.clear()
         self._finish(is_over)
@@ -212,15 +209,12 @@ class _DoctorRun:
 
     def _finish(self, is_over: bool) -> None:
         examination, program = self._examination, self._program
-        if program is not None:
-            ending = program.ending            # others may have read what is missing
-            examination.finish(examination.last if ending.is_over else time.monotonic_ns(), True,
-                               '' if ending.users else ending.failed, program.users)
-        elif is_over and self._source.ended > examination.last:    # it went on in silence
-            examination.pass_time(self._source.ended)
-            examination.finish(self._source.ended, is_over=False)
-        else:
-            examination.finish(examination.last if is_over else time.monotonic_ns(), is_over)
+        if program is None:
+            examination.finish_source(self._source, is_over)
+            return
+        ending = program.ending                # others may have read what is missing
+        examination.finish(examination.last if ending.is_over else time.monotonic_ns(), True,
+                           '' if ending.users else ending.failed, program.users)
 
     def _print_verdict(self, seconds: float) -> Verdict:
         source, program = self._source, self._program
