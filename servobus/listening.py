@@ -40,6 +40,7 @@ from servobus.errors import ParameterError
 from servobus.errors import UsageError
 from servobus.examination import Examination
 from servobus.model.models import Models
+from servobus.settings import check_devices
 from servobus.settings import check_models
 from servobus.sources import silence
 from servobus.sources import tap_pyserial
@@ -66,7 +67,10 @@ def listen(port: Any, *, baud: int | None = None, devices: Sequence[str] = (),
     models = models or Models()
     if isinstance(devices, str) or not all(isinstance(one, str) for one in devices):
         raise ParameterError(f"devices: {devices!r} is no list of texts; write ['1-6:STS3215']")
-    check_models(parse_all(devices), models)
+    if isinstance(port, str):
+        check_devices(devices, models)
+    else:                                      # a port is one bus, without a name
+        check_models(parse_all(devices), models)
     if protocol not in PROTOCOLS:
         raise ParameterError(f'protocol: {protocol!r} is none; use one of {", ".join(PROTOCOLS)}')
     if baud is not None and not (isinstance(baud, int) and baud > 0):

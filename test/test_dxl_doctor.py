@@ -38,6 +38,7 @@ from msg_defs.diagnostics import Level
 from msg_defs.event import Chunk
 from msg_defs.uart import byte_ns
 from msg_defs.uart import heard_at
+import servobus
 from servobus.bus.report import FAILED
 from servobus.bus.report import RAISED
 from servobus.bus.report import RATE_REFUSED
@@ -271,6 +272,18 @@ def test_a_file_to_the_screen_and_to_programs(tmp_path):
     assert (done.returncode, found['exit']) == (ERROR, ERROR)
     assert [(one['rule'], one['device']) for one in found['buses'][0]['findings']] \
         == [('no_answer', 4)]
+
+
+def test_each_bus_has_its_own_ids(tmp_path):
+    path = capture(tmp_path / 'bus.txt')
+    entries = ['bus/4:XL430-W250:wrist', 'other/4:XL430-W250:elbow']
+    done = doctor(path, *(word for entry in entries for word in ('--devices', entry)))
+    assert done.returncode == WELL, done.stderr
+    with servobus.listen(str(path), devices=entries) as bus:
+        bus.run()
+    assert {one.id: one.joint for one in bus.reports()[0].devices}[4] == 'wrist'
+    refused = doctor(path, *('--devices', 'bus/4:XL430') * 2)
+    assert (refused.returncode, 'ID 4 is given twice' in refused.stderr) == (2, True)
 
 
 def test_the_begin_of_a_file_is_no_master_that_stopped(tmp_path):
