@@ -674,6 +674,13 @@ def test_a_rate_that_the_driver_refuses_is_told_from_other_errors(error, failed)
     assert Ending(code=1, error=error, packages=packages).failed == failed
 
 
+def test_where_another_may_have_read_the_answers_the_end_says_nothing_of_the_bus():
+    ending = Ending(code=1, error='[TxRxResult] There is no status packet!')
+    assert (ending.failed, ending.failed_alone) == (RAISED, RAISED)
+    ending = ending._replace(users=('minicom (pid 7)',))
+    assert (ending.failed, ending.failed_alone) == (RAISED, '')
+
+
 def test_a_text_that_is_not_known_is_one_line():
     assert explain.find('assertion failed') == []
     done = doctor('--explain', 'assertion failed')

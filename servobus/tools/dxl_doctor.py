@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from contextlib import closing
 import json
 import os
-import shlex
 import shutil
 import sys
 import time
@@ -40,7 +39,6 @@ from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
 from servobus.tools.doctor import explain
 from servobus.tools.doctor import machine
-from servobus.tools.doctor import no_data
 from servobus.tools.doctor.answer_screen import HEIGHT
 from servobus.tools.doctor.answer_screen import screen
 from servobus.tools.doctor.answer_screen import WIDTH
@@ -53,6 +51,7 @@ from servobus.tools.doctor.issue_report import new_names
 from servobus.tools.doctor.issue_report import NOTHING
 from servobus.tools.doctor.issue_report import SavedReport
 from servobus.tools.doctor.program_source import Program
+from servobus.tools.doctor.program_verdict import program_verdict
 from servobus.tools.doctor.verdict import as_json
 from servobus.tools.doctor.verdict import make_verdict
 from servobus.tools.doctor.verdict import Verdict
@@ -212,26 +211,21 @@ class _DoctorRun:
         if program is None:
             examination.finish_source(self._source, is_over)
             return
-        ending = program.ending                # others may have read what is missing
+        ending = program.ending
         examination.finish(examination.last if ending.is_over else time.monotonic_ns(), True,
-                           '' if ending.users else ending.failed, program.users)
+                           ending.failed_alone, program.users)
 
     def _print_verdict(self, seconds: float) -> Verdict:
         source, program = self._source, self._program
         buses = self._examination.buses(source.is_timed)
-        is_quiet = not self._examination.bytes
         if program is None:
-            name = self._options.source
+            name, is_quiet = self._options.source, not self._examination.bytes
             verdict = make_verdict(name, buses, seconds, source.is_timed, silence.reasons(
                 name, source.is_live) if is_quiet else ())
             more = {}
         else:
-            ending = program.ending
-            verdict = make_verdict(
-                shlex.join(self._command), buses, seconds, source.is_timed,
-                no_data.of_program(self._command, program.ports, ending) if is_quiet else (),
-                program.ports, ending.trouble(), ending.unknowns())
-            more = {'program': {'exit': ending.code, 'error': ending.error}}
+            verdict = program_verdict(program, buses, seconds)
+            more = {'program': {'exit': program.ending.code, 'error': program.ending.error}}
         _print(verdict, as_json(verdict, buses, seconds) | more, self._options)
         return verdict
 
