@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """dxl_doctor: one screen, right exit codes, and a reason where nothing is heard."""
 
-from argparse import Namespace
 import bz2
 from functools import cache
 import gzip
@@ -758,6 +757,15 @@ def test_a_report_says_nothing_of_its_maker(reported):
         assert secret not in text, secret
 
 
+def test_the_devices_of_a_report_are_of_its_buses(tmp_path):
+    path = tmp_path / 'report.txt'
+    entries = ['bus/4:XL430-W250:wrist', 'usb-A1B2C3/4:XL430-W250', '5:XL430-W250']
+    doctor('--report', path, capture(tmp_path / 'bus.txt'),
+           *(word for entry in entries for word in ('--devices', entry)))
+    assert issue_report.load_report(str(path)).devices == [
+        'bus1/4:XL430-W250:wrist', '5:XL430-W250']
+
+
 def test_with_host_it_does(tmp_path):
     path = tmp_path / 'report.txt'
     doctor('--report', path, '--with-host', capture(tmp_path / 'my-bus.txt'))
@@ -817,8 +825,7 @@ def test_a_report_overwrites_no_other_file(tmp_path):
 
 def test_a_report_gives_back_all_that_was_said(tmp_path):
     whole = said(heard('silent:4:2'))._replace(cycles=['50 Hz', 'a wait'], quiet=['no power'])
-    options = Namespace(devices=[], protocol='auto')
-    (tmp_path / 'report').write_text(issue_report.make_report(whole, [], 1.0, [], options, b''))
+    (tmp_path / 'report').write_text(issue_report.make_report(whole, [], 1.0, [], [], 'auto', b''))
     assert issue_report.load_report(str(tmp_path / 'report')).verdict == whole
 
 

@@ -47,6 +47,7 @@ from servobus.tools.doctor.issue_report import anonymous
 from servobus.tools.doctor.issue_report import check_report
 from servobus.tools.doctor.issue_report import load_report
 from servobus.tools.doctor.issue_report import make_report
+from servobus.tools.doctor.issue_report import new_devices
 from servobus.tools.doctor.issue_report import new_names
 from servobus.tools.doctor.issue_report import NOTHING
 from servobus.tools.doctor.issue_report import SavedReport
@@ -234,14 +235,14 @@ class _DoctorRun:
         ports = self._program.ports if self._program is not None else \
             list(filter(None, [machine.device(options.source)]))
         buses = self._examination.buses(is_timed)
-        shown = anonymous(buses)
+        shown, names = anonymous(buses), new_names(buses)
         verdict = make_verdict(machine.plain_name(options.source, bool(self._command)), shown,
                                seconds, is_timed, [] if self._examination.bytes else [NOTHING])
         about = [*machine.system(), *machine.adapters(ports, options.with_host)]
         if options.with_host:
             about += machine.host(options.source, self._command)
-        text = make_report(verdict, shown, seconds, about, options,
-                           self._window.capture(new_names(buses)))
+        text = make_report(verdict, shown, seconds, about, new_devices(options.devices, names),
+                           options.protocol, self._window.capture(names))
         with open(options.report, 'w', encoding='utf-8') as file:
             file.write(text)
         print(f'dxl_doctor: the report is in {printable(options.report)}', file=sys.stderr)
