@@ -115,7 +115,7 @@ class UsbFile(File):
         survey = Survey()
         for event in self._events:
             survey.add_event(event)
-        found = _chosen(name, survey.ports(), adapter, self._events.problems)
+        found = _chosen(survey.ports(), adapter, self._events.problems)
         self._port = UsbPort(found.place, found.adapter, self._bus)
         self._add_bus(0)
 
@@ -142,7 +142,7 @@ def _seekable(file: BufferedReader) -> BufferedReader:
     return cast(BufferedReader, copy)
 
 
-def _chosen(name: str, ports: list[Found], adapter: str | None, problems: list[str]) -> Found:
+def _chosen(ports: list[Found], adapter: str | None, problems: list[str]) -> Found:
     """Return the port that was asked for, or the only one, or the only one with bytes."""
     named = [one for one in ports if one.place.words == adapter]
     used = named or [one for one in ports if one.size] or ports
@@ -150,9 +150,8 @@ def _chosen(name: str, ports: list[Found], adapter: str | None, problems: list[s
         return used[0]
     if not ports:
         reason = ''.join(f' ({problem})' for problem in problems[:1])
-        raise UsageError(f'{name}: no serial adapter found in it{reason}; record the right USB '
-                         'bus, and start before the port is used')
+        raise UsageError(f'no serial adapter found in it{reason}; record the right USB bus, and '
+                         'start before the port is used')
     known = '; '.join(one.words for one in used)
     problem = f'no adapter {adapter} in it' if adapter else 'several adapters in it'
-    raise UsageError(f'{name}: {problem}: {known}; choose with --adapter '
-                     f'{used[0].place.words}')
+    raise UsageError(f'{problem}: {known}; choose with --adapter {used[0].place.words}')
