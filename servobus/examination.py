@@ -57,6 +57,7 @@ class Examination:
         self._protocol = protocol
         self._names = names
         self._monitors: dict[str, Monitor] = {}
+        self._wires: dict[str, Wire] = {}      # as they are after their changes
         self._logs: dict[str, FindingLog] = {}
         self._due = 0
 
@@ -71,9 +72,10 @@ class Examination:
         """Feed a chunk of a bus; wire: what the source knows of that bus."""
         self.pass_time(chunk.stamp)
         self._due = self._due or chunk.stamp + REPORT_NS
+        monitor = self._monitors.get(chunk.bus) or self._begin(chunk.bus, wire)
+        wire = self._wires[chunk.bus] = self._wires.get(chunk.bus, wire).changed(chunk.change)
         for one in self._watchers:
             one.record_chunk(wire, chunk)
-        monitor = self._monitors.get(chunk.bus) or self._begin(chunk.bus, wire)
         monitor.feed_chunks([chunk])
         if chunk.change is not None:
             return
