@@ -16,6 +16,7 @@ from typing import Protocol
 from mecarover_dashboard.state import TABLES
 from mecarover_dashboard.state import TIMING
 from mecarover_serial.process import resident_memory_mb
+from msg_defs.diagnostics import Level
 from msg_defs.diagnostics import Metric
 from msg_defs.diagnostics import metric_status
 from msg_defs.diagnostics import Status
@@ -31,6 +32,8 @@ from servobus.signals import BusSignals
 from servobus.status import PortState
 from servobus.status import statuses_of
 from servobus.status import timing_metrics
+from servobus.tools.doctor.verdict import OpenPoint
+from servobus.tools.doctor.verdict import Trouble
 from servobus.tools.doctor.verdict import Verdict
 
 NODE = 'dxl_monitor'                # in the names of statuses
@@ -148,9 +151,11 @@ def conclusion(verdict: Verdict) -> str:
     """Return what dxl_doctor says of a run, in a line."""
     if verdict.quiet:
         return f'nothing was heard: {verdict.quiet[0]}'
-    if not verdict.wrong:
+    wrong = [one for one in verdict.wrong if one.level > Level.OK]
+    problems: Sequence[Trouble | OpenPoint] = [*wrong, *verdict.not_sure] or verdict.wrong
+    if not problems:
         heard = '; '.join(f'{one.who} {one.what}' for one in verdict.heard[:NAMED])
         return f'no problem found; heard: {heard or "no device"}'
-    more = len(verdict.wrong) - 1
-    return (f'{verdict.wrong[0].who}: {verdict.wrong[0].message}'
+    more = len(problems) - 1
+    return (f'{problems[0].who}: {problems[0].message}'
             + (f'; and {more} more: dxl_doctor shows all' if more else ''))

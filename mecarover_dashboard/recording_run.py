@@ -67,10 +67,10 @@ class RecordingRun(SourceRun):
     def _examine_all(self) -> None:
         heard = Examination(self._models, self._options.devices, self._options.protocol)
         source = self._open()
-        for chunk in filter(None, source.chunks()):
-            heard.feed_chunk(chunk, source.wire(chunk.bus))
+        for chunk in source.chunks():
+            heard.feed_from(source, chunk)
         source.close()
-        heard.finish(heard.last, is_over=True)
+        heard.finish_source(source, is_over=True)
         found = [(round(one.first_s, 1), int(one.finding.level),
                   f'{bus.who(one.finding.device)}: {one.finding.message}')
                  for bus in heard.buses(self.is_timed) for one in bus.logged

@@ -31,8 +31,8 @@ from servobus.sources.recorders import Recorders
 from servobus.sources.source_name import rate_of
 from servobus.sources.tap_reader import HOLD_S
 from servobus.status import PortState
-from servobus.tools.doctor import no_data
 from servobus.tools.doctor.program_source import Program
+from servobus.tools.doctor.program_verdict import program_verdict
 from servobus.tools.doctor.verdict import make_verdict
 from servobus.tools.doctor.verdict import Verdict
 from servobus.tools.run import models_of
@@ -169,9 +169,8 @@ class ProgramRun(SourceRun):
         self._program.close()
         ending = self._program.ending
         for name, bus in self._heard.items():
-            bus.monitor.end(self._known, ending.failed, self._program.users.get(name, ()))
+            bus.monitor.end(self._known, ending.failed_alone,
+                            self._program.users.get(name, ()))
         self._feed.report(self._known)
-        found = self._verdict(
-            lambda: no_data.of_program(self._command, self._program.ports, ending))
-        trouble = ending.trouble()
-        return found._replace(wrong=(*found.wrong, *([trouble] if trouble else [])))
+        return program_verdict(self._program, self._feed.summaries(self.is_timed),
+                               time.monotonic() - self._began_s)

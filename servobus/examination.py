@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from collections.abc import Sequence
+import time
 from typing import Protocol
 
 from msg_defs.diagnostics import Level
@@ -25,6 +26,7 @@ from servobus.model.models import Models
 from servobus.monitor import Monitor
 from servobus.settings import settings_of
 from servobus.sources.capture import Wire
+from servobus.sources.source import Source
 
 S = 1_000_000_000
 REPORT_NS = S // 2
@@ -55,16 +57,25 @@ class Examination:
         self._protocol = protocol
         self._names = names
         self._monitors: dict[str, Monitor] = {}
+        self._wires: dict[str, Wire] = {}      # as they are after their changes
         self._logs: dict[str, FindingLog] = {}
         self._due = 0
+
+    def feed_from(self, source: Source, chunk: Chunk | None) -> None:
+        """Feed what a source gave; None: a live one gave nothing for a moment."""
+        if chunk is not None:
+            self.feed_chunk(chunk, source.wire(chunk.bus))
+        else:
+            self.pass_time(time.monotonic_ns() - ARRIVAL_NS)
 
     def feed_chunk(self, chunk: Chunk, wire: Wire) -> None:
         """Feed a chunk of a bus; wire: what the source knows of that bus."""
         self.pass_time(chunk.stamp)
         self._due = self._due or chunk.stamp + REPORT_NS
+        monitor = self._monitors.get(chunk.bus) or self._begin(chunk.bus, wire)
+        wire = self._wires[chunk.bus] = self._wires.get(chunk.bus, wire).changed(chunk.change)
         for one in self._watchers:
             one.record_chunk(wire, chunk)
-        monitor = self._monitors.get(chunk.bus) or self._begin(chunk.bus, wire)
         monitor.feed_chunks([chunk])
         if chunk.change is not None:
             return
@@ -106,6 +117,16 @@ class Examination:
             for bus, monitor in self._monitors.items():
                 monitor.end(now, failed, (users or {}).get(bus, ()))
         self._report(now)
+
+    def finish_source(self, source: Source, is_over: bool) -> None:
+        """Make the last reports of a source; is_over: a recording was fed to its end."""
+        if source.is_live:
+            self.finish(time.monotonic_ns(), is_over=False)
+        elif is_over and source.ended > self.last:     # it went on in silence
+            self.pass_time(source.ended)
+            self.finish(source.ended, is_over=False)
+        else:
+            self.finish(self.last, is_over)
 
     def summary(self) -> str:
         """Return what is heard at this moment, in a line."""

@@ -40,6 +40,7 @@ from servobus.errors import ParameterError
 from servobus.errors import UsageError
 from servobus.examination import Examination
 from servobus.model.models import Models
+from servobus.settings import check_devices
 from servobus.settings import check_models
 from servobus.sources import silence
 from servobus.sources import tap_pyserial
@@ -66,7 +67,10 @@ def listen(port: Any, *, baud: int | None = None, devices: Sequence[str] = (),
     models = models or Models()
     if isinstance(devices, str) or not all(isinstance(one, str) for one in devices):
         raise ParameterError(f"devices: {devices!r} is no list of texts; write ['1-6:STS3215']")
-    check_models(parse_all(devices), models)
+    if isinstance(port, str):
+        check_devices(devices, models)
+    else:                                      # a port is one bus, without a name
+        check_models(parse_all(devices), models)
     if protocol not in PROTOCOLS:
         raise ParameterError(f'protocol: {protocol!r} is none; use one of {", ".join(PROTOCOLS)}')
     if baud is not None and not (isinstance(baud, int) and baud > 0):
@@ -189,20 +193,16 @@ class SourceListening(Listening):
                               'inside of it')
         self._has_run = True
         until = None if seconds is None else time.monotonic() + seconds
-        is_over = True
+        is_over = False
         for chunk in self._source.chunks():
             with self._lock:
-                if chunk is not None:
-                    self._examination.feed_chunk(chunk, self._source.wire(chunk.bus))
-                elif self._source.is_live:
-                    self._examination.pass_time(time.monotonic_ns())
+                self._examination.feed_from(self._source, chunk)
             if until is not None and time.monotonic() >= until:
-                is_over = not self._source.is_live
                 break
+        else:
+            is_over = True
         with self._lock:
-            now = time.monotonic_ns() if self._source.is_live else \
-                max(self._source.ended, self._examination.last)
-            self._examination.finish(now, is_over)
+            self._examination.finish_source(self._source, is_over)
 
     def _close(self) -> None:
         self._source.close()

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
 import time
 
 from msg_defs.diagnostics import Pairs
@@ -46,6 +45,7 @@ class MonitoredBus:
         self._behind_since = 0
         self._known_adapter: tuple[int, Pairs] = (0, [])
         self._recorders = recorders
+        self._wire: Wire | None = None         # what a capture says of the bus, after its changes
         self._inspection = None if is_live(bus.port) else Inspection(bus.port, [])
         self.listener = listener_on(
             bus.port, bus.settings.baud,
@@ -53,15 +53,13 @@ class MonitoredBus:
             self.monitor.flush_if_idle, bus=bus.name,
             records_every_s=min(RECORDS_EVERY_S, 0.5 / (joint_state_rate or 1.0)))
 
-    @cached_property
-    def _wire(self) -> Wire:
-        """What a capture says about the bus; known once there are bytes."""
-        return Wire(self.bus.name, self.bus.settings.baud, self.listener.latency_timer_ms or 0,
-                    self.bus.port)
-
     def _record_and_feed(self, chunks: Sequence[Chunk]) -> None:
+        wire = self._wire or Wire(self.bus.name, self.bus.settings.baud,
+                                  self.listener.latency_timer_ms or 0, self.bus.port)
         for chunk in chunks:
-            self._recorders.record_chunk(self._wire, chunk)
+            wire = wire.changed(chunk.change)
+            self._recorders.record_chunk(wire, chunk)
+        self._wire = wire
         self.monitor.feed_chunks(chunks)
 
     def is_late(self, now: int) -> bool:

@@ -53,10 +53,20 @@ def check_models(devices: Iterable[Expected], models: Models) -> None:
             raise ParameterError(f'devices: no model is called {model!r}; {remedy}')
 
 
+def check_devices(entries: Sequence[str], models: Models) -> None:
+    """Raise ParameterError where entries 'BUS/ID:MODEL:JOINT' cannot be used, of each bus."""
+    for bus in {named for named, _ in map(split_bus, entries)}:
+        check_models(_devices_of(bus, entries), models)
+
+
+def _devices_of(bus: str, entries: Sequence[str]) -> list[Expected]:
+    """Return the devices of the entries that name this bus or none."""
+    return parse_all(rest for of, rest in map(split_bus, entries) if of in ('', bus))
+
+
 def settings_of(bus: str, wire: Wire, devices: Sequence[str], protocol: str) -> Settings:
     """Return those of a bus that a tool hears; devices: of all buses, as given by --devices."""
-    mine = [rest for of, rest in map(split_bus, devices) if of in ('', bus)]
-    return Settings(baud=wire.baud, devices=tuple(parse_all(mine)), protocol=protocol,
+    return Settings(baud=wire.baud, devices=tuple(_devices_of(bus, devices)), protocol=protocol,
                     latency_timer_ms=wire.latency_timer_ms)
 
 

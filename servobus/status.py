@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
+from itertools import groupby
 import json
 from typing import NamedTuple
 
@@ -28,6 +29,7 @@ from msg_defs.diagnostics import SEVERITY
 from msg_defs.diagnostics import Status
 from msg_defs.diagnostics import status_name
 from msg_defs.diagnostics import worst
+from servobus.bus.expected import spans
 from servobus.bus.report import BusReport
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import Finding
@@ -140,16 +142,14 @@ def _sick(devices: Iterable[DeviceReport]) -> Pairs:
 
 def _models(devices: Iterable[DeviceReport]) -> str:
     """Spell who is on the bus: IDs, model and model number, '001-018 MX-106 (321), 019 ...'."""
-    spans: list[tuple[int, int, str]] = []
-    for device in devices:
-        name = device.model_name
-        if device.model_number is not None and not name.startswith('unknown'):
-            name += f' ({device.model_number})'
-        is_next = spans and spans[-1][1:] == (device.id - 1, name)
-        first = spans.pop()[0] if is_next else device.id
-        spans.append((first, device.id, name))
-    return ', '.join((f'{first:03} ' if first == last else f'{first:03}-{last:03} ') + name
-                     for first, last, name in spans)
+    return ', '.join(f'{span} {model}' for model, alike in groupby(devices, key=_model)
+                     for span in spans((one.id for one in alike), '{:03}'))
+
+
+def _model(device: DeviceReport) -> str:
+    if device.model_number is None or device.model_name.startswith('unknown'):
+        return device.model_name
+    return f'{device.model_name} ({device.model_number})'
 
 
 def _findings(findings: Iterable[Finding]) -> Pairs:

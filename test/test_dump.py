@@ -283,6 +283,8 @@ def test_filters(recorded, arguments, test):
 def test_count_and_seconds(recorded):
     every = objects(recorded)
     assert objects(recorded, '--count', '7') == every[:7]
+    counted = json.loads(dump(recorded, '--summary', '--count', '7'))
+    assert 7 <= counted['packets'] < len(every)
     some = objects(recorded, '--seconds', '0.5')
     assert some == every[:len(some)]
     assert some[-1]['stamp'] - some[0]['stamp'] == pytest.approx(0.5, abs=0.05)

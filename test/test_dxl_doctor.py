@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """dxl_doctor: one screen, right exit codes, and a reason where nothing is heard."""
 
-from argparse import Namespace
 import bz2
 from functools import cache
 import gzip
@@ -38,6 +37,7 @@ from msg_defs.diagnostics import Level
 from msg_defs.event import Chunk
 from msg_defs.uart import byte_ns
 from msg_defs.uart import heard_at
+import servobus
 from servobus.bus.report import FAILED
 from servobus.bus.report import RAISED
 from servobus.bus.report import RATE_REFUSED
@@ -271,6 +271,25 @@ def test_a_file_to_the_screen_and_to_programs(tmp_path):
     assert (done.returncode, found['exit']) == (ERROR, ERROR)
     assert [(one['rule'], one['device']) for one in found['buses'][0]['findings']] \
         == [('no_answer', 4)]
+
+
+def test_each_bus_has_its_own_ids(tmp_path):
+    path = capture(tmp_path / 'bus.txt')
+    entries = ['bus/4:XL430-W250:wrist', 'other/4:XL430-W250:elbow']
+    done = doctor(path, *(word for entry in entries for word in ('--devices', entry)))
+    assert done.returncode == WELL, done.stderr
+    with servobus.listen(str(path), devices=entries) as bus:
+        bus.run()
+    assert {one.id: one.joint for one in bus.reports()[0].devices}[4] == 'wrist'
+    refused = doctor(path, *('--devices', 'bus/4:XL430') * 2)
+    assert (refused.returncode, 'ID 4 is given twice' in refused.stderr) == (2, True)
+
+
+def test_the_begin_of_a_file_is_no_master_that_stopped(tmp_path):
+    done = doctor(capture(tmp_path / 'bus.txt'), '--seconds', '2', '--json')
+    found = json.loads(done.stdout)
+    assert (done.returncode, found['wrong']) == (WELL, [])
+    assert {device['state'] for device in found['buses'][0]['devices']} == {'connected'}
 
 
 def parts(schema):
@@ -654,6 +673,13 @@ def test_a_rate_that_the_driver_refuses_is_told_from_other_errors(error, failed)
     assert Ending(code=1, error=error, packages=packages).failed == failed
 
 
+def test_where_another_may_have_read_the_answers_the_end_says_nothing_of_the_bus():
+    ending = Ending(code=1, error='[TxRxResult] There is no status packet!')
+    assert (ending.failed, ending.failed_alone) == (RAISED, RAISED)
+    ending = ending._replace(users=('minicom (pid 7)',))
+    assert (ending.failed, ending.failed_alone) == (RAISED, '')
+
+
 def test_a_text_that_is_not_known_is_one_line():
     assert explain.find('assertion failed') == []
     done = doctor('--explain', 'assertion failed')
@@ -731,6 +757,15 @@ def test_a_report_says_nothing_of_its_maker(reported):
         assert secret not in text, secret
 
 
+def test_the_devices_of_a_report_are_of_its_buses(tmp_path):
+    path = tmp_path / 'report.txt'
+    entries = ['bus/4:XL430-W250:wrist', 'usb-A1B2C3/4:XL430-W250', '5:XL430-W250']
+    doctor('--report', path, capture(tmp_path / 'bus.txt'),
+           *(word for entry in entries for word in ('--devices', entry)))
+    assert issue_report.load_report(str(path)).devices == [
+        'bus1/4:XL430-W250:wrist', '5:XL430-W250']
+
+
 def test_with_host_it_does(tmp_path):
     path = tmp_path / 'report.txt'
     doctor('--report', path, '--with-host', capture(tmp_path / 'my-bus.txt'))
@@ -790,8 +825,7 @@ def test_a_report_overwrites_no_other_file(tmp_path):
 
 def test_a_report_gives_back_all_that_was_said(tmp_path):
     whole = said(heard('silent:4:2'))._replace(cycles=['50 Hz', 'a wait'], quiet=['no power'])
-    options = Namespace(devices=[], protocol='auto')
-    (tmp_path / 'report').write_text(issue_report.make_report(whole, [], 1.0, [], options, b''))
+    (tmp_path / 'report').write_text(issue_report.make_report(whole, [], 1.0, [], [], 'auto', b''))
     assert issue_report.load_report(str(tmp_path / 'report')).verdict == whole
 
 

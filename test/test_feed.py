@@ -26,16 +26,21 @@ import pytest
 
 from benchmark import confusion
 from benchmark.confusion_cases import Scene
+from mecarover_dashboard.feed import conclusion
 from mecarover_dashboard.feed import Feed
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_bus import make_line
 from mecarover_fakes.faults import parse
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
+from msg_defs.diagnostics import Level
 from msg_defs.event import Chunk
 from servobus.sources.capture import Moment
 from servobus.sources.capture import Wire
 from servobus.sources.capture import Writer
+from servobus.tools.doctor.verdict import OpenPoint
+from servobus.tools.doctor.verdict import Trouble
+from servobus.tools.doctor.verdict import Verdict
 
 ARM = '1-6:STS3215'
 BUS = ('--dialect', 'feetech', '--devices', ARM)
@@ -250,6 +255,19 @@ def test_a_recording_whose_name_is_not_utf_8(tmp_path):
         assert first['facts']['source'] == f'{tmp_path}/arm_\ufffd.txt'
     assert program.exit_code() == 0
     assert 'Traceback' not in ''.join(program.lines)
+
+
+def test_the_last_line_is_no_all_clear_where_causes_are_left():
+    trouble = Trouble(Level.WARN, 'the program', '', 'it ended with an error', '')
+    point = OpenPoint('003', 'no_answer', 'no cause is sure', 'swap the cable')
+    verdict = Verdict('bus.txt', (), (), (), (), ())
+    assert conclusion(verdict) == 'no problem found; heard: no device'
+    assert conclusion(verdict._replace(not_sure=[point])) == '003: no cause is sure'
+    advice = trouble._replace(level=Level.OK)
+    assert conclusion(verdict._replace(wrong=[advice], not_sure=[point])) \
+        == '003: no cause is sure'
+    assert conclusion(verdict._replace(wrong=[trouble], not_sure=[point])) \
+        == 'the program: it ended with an error; and 1 more: dxl_doctor shows all'
 
 
 WHY_NOT = dashboard_page.why_not()

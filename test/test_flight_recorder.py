@@ -10,13 +10,20 @@ import pytest
 from msg_defs.diagnostics import Level
 from msg_defs.event import Change
 from msg_defs.event import Chunk
+from servobus.bus.decoder import Settings
 from servobus.bus.report import DISCONNECTED
 from servobus.errors import ParameterError
+from servobus.examination import Examination
+from servobus.model.models import Models
+from servobus.monitored_bus import MonitoredBus
+from servobus.settings import Bus
 from servobus.sources.capture import Moment
+from servobus.sources.capture import Reader
 from servobus.sources.capture import Wire
 from servobus.sources.flight_recorder import FlightRecorder
 from servobus.sources.opening import open_file
 from servobus.sources.recorders import Recorders
+from servobus.tools.doctor.error_window import ErrorWindow
 
 S = 1_000_000_000
 
@@ -57,6 +64,35 @@ def stamps(path):
     chunks = [one for one in open_file(str(path), None, tool='dxl_dump').chunks() if one.data]
     assert all(int.from_bytes(one.data, 'little') == one.stamp for one in chunks)
     return [one.stamp / S for one in chunks]
+
+
+def learned(now):
+    """Return chunks of a bus of which the rate is learned, two minutes before the last."""
+    return [Chunk(now, 'arm', change=Change('baud', 57_600)),
+            Chunk(now, 'arm', change=Change('latency_timer_ms', 16)),
+            Chunk(now + 1, 'arm', b'\xff', 'out'), Chunk(now + 120 * S, 'arm', b'\xff', 'out')]
+
+
+def test_a_file_has_the_rate_that_was_learned_before_its_time(tmp_path):
+    flight = Flight(tmp_path)
+    node = MonitoredBus(Bus('arm', '', 'tap:arm', Settings(0)), Models(),
+                        Recorders(None, flight.recorder))
+    node._record_and_feed(learned(flight.now))
+    path = flight.recorder.save('asked')
+    flight.recorder.stop()
+    source = open_file(path, None, tool='dxl_dump')
+    assert [one.stamp - flight.now for one in source.chunks()] == [120 * S]
+    assert source.wire('arm') == Wire('arm', 57_600, 16, 'tap:arm')
+
+
+def test_a_report_has_the_rate_that_was_learned_before_its_time():
+    window = ErrorWindow()
+    examination = Examination(Models(), watchers=[window])
+    for chunk in learned(S):
+        examination.feed_chunk(chunk, Wire('arm', 0))
+    reader = Reader(window.capture({'arm': 'bus1'}).splitlines(keepends=True))
+    assert [one.stamp for one in reader] == [121 * S]
+    assert reader.wires == {'bus1': Wire('bus1', 57_600, 16)}
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ from types import SimpleNamespace
 import pytest
 import serial
 from test_dxl_doctor import capture
+from test_dxl_doctor import doctor
 
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_packet import encode
@@ -216,6 +217,16 @@ def test_the_example_of_a_recording_prints_plain_data(tmp_path, monkeypatch, cap
     exec(example)
     found = json.loads(capsys.readouterr().out)
     assert [one['rule'] for one in found['findings']] == ['no_answer']
+
+
+def test_a_recording_that_ends_in_silence_has_the_findings_of_dxl_doctor(tmp_path):
+    path = capture(tmp_path / 'run.txt', 'silent:4:3')
+    path.write_text(f'{path.read_text()}# ended at 20.000000000\n')
+    with servobus.listen(str(path)) as bus:
+        bus.run()
+    [shown] = json.loads(doctor(path, '--json').stdout)['buses']
+    assert [one.message for one in bus.findings] == [
+        one['message'] for one in shown['findings']] != []
 
 
 def test_the_examples_of_a_monitor_report_what_was_fed(tmp_path, monkeypatch):

@@ -78,6 +78,21 @@ def test_sides_and_events_come_back(tmp_path):
     assert source.wire('arm') == Wire('arm', BAUD, port='/dev/ttyUSB0')
 
 
+def test_a_given_rate_holds_also_where_the_file_says_another_one_later(tmp_path):
+    text, file = tmp_path / 'arm.txt', tmp_path / 'arm.pcapng'
+    with text.open('wb') as open_text:
+        writer = Writer(open_text, Moment(1_790_000_000 * SECOND, SECOND))
+        for chunk in (Chunk(SECOND, 'arm', change=Change('baud', BAUD)),
+                      Chunk(SECOND + 1, 'arm', bytes.fromhex('ffff010201fb'), OUT)):
+            writer.write_chunk(Wire('arm', 2 * BAUD), chunk)
+    dump(text, '-w', file)
+    for path in (text, file):
+        source = open_file(str(path), BAUD // 2, tool='dxl_dump')
+        assert [chunk.change for chunk in source.chunks()] == [None]
+        assert source.wire('arm').baud == BAUD // 2
+        assert Change('baud', BAUD) in chunks(path)[1]
+
+
 def test_it_can_be_piped_and_what_is_cut_off_says_so(tmp_path):
     text = with_sides(tmp_path / 'arm.txt')
     file = tmp_path / 'arm.pcapng'

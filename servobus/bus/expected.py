@@ -49,6 +49,20 @@ def parse_all(entries: Iterable[str]) -> list[Expected]:
     return devices
 
 
+def runs(numbers: Iterable[int]) -> list[tuple[int, int]]:
+    """Return first and last of each run: of 1, 2, 3, 9 it is (1, 3), (9, 9)."""
+    found: list[tuple[int, int]] = []
+    for number in numbers:
+        first = found.pop()[0] if found and number == found[-1][1] + 1 else number
+        found.append((first, number))
+    return found
+
+
+def spans(ids: Iterable[int], spelt: str = '{}') -> list[str]:
+    """Return '1-20', '22': runs of IDs in the order given."""
+    return ['-'.join(map(spelt.format, dict.fromkeys(run))) for run in runs(ids)]
+
+
 def refuse_twice(thing: str, values: Iterable[object]) -> None:
     """Raise ParameterError for the first value that is there already; 'NAME:' or 'NAME: part'."""
     seen: set[object] = set()

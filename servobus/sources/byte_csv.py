@@ -24,9 +24,9 @@ from servobus.sources.byte_text import ByteText
 from servobus.sources.byte_text import TextBytes
 from servobus.sources.byte_text import unescaped
 
-_TIME = re.compile(r'(?:start[_ ]?)?time\b\s*(?:[\[(](\w+)[\])])?', re.IGNORECASE)
+_TIME = re.compile(r'(?:start[_ ]?)?time\b\s*(?:[\[(](\w+)[\])])?')
 _DATA = ('data', 'value', 'decoded protocol result', 'hex')
-_DECODER = re.compile(r'uart|serial|\b[rt]x\b', re.IGNORECASE)
+_DECODER = re.compile(r'uart|serial|\b[rt]x\b')
 _UNITS = {'s': NS_PER_S, 'ms': NS_PER_MS, 'us': 1000, '\u00b5s': 1000, 'ns': 1}
 _ANALYSER = ('name', 'analyzer name')
 _SIDES = {OUT: re.compile(r'\btx\b', re.IGNORECASE), IN: re.compile(r'\brx\b', re.IGNORECASE)}
@@ -40,26 +40,26 @@ ANALYSERS_NAMED_MAX = 4
 def read_csv(text: str) -> ByteText | None:
     """Return what the file shows, None where its first line names no times and bytes."""
     first, *rows = text.splitlines() or ['']
-    names = _cells(first)
-    timed = {at: found for at, name in enumerate(names) if (found := _TIME.match(name.strip()))}
-    data = [at for at, name in enumerate(names) if name.strip().casefold() in _DATA] or [
+    names = [name.strip().lower() for name in _cells(first)]
+    times = [(at, found[1]) for at, name in enumerate(names) if (found := _TIME.match(name))]
+    data = [at for at, name in enumerate(names) if name in _DATA] or [
         at for at, name in enumerate(names) if _DECODER.search(name)]
-    if not timed or not data:
+    if not times or not data:
         return None
-    [(when, unit), *_] = timed.items()
+    when, unit = times[0]
     cells = [_cells(row) + [''] * len(names) for row in rows]      # some may be cut
     is_ascii = any(_MARKED.fullmatch(row[data[0]]) for row in cells)
     values = [_value(*both, data[0], is_ascii) for both in zip(rows, cells, strict=True)]
     is_decimal = not any('0x' in one for one in values) and any(
         one.isdecimal() and len(one) == 3 for one in values)
-    named = [at for at, name in enumerate(names) if name.strip().casefold() in _ANALYSER][:1]
+    named = [at for at, name in enumerate(names) if name in _ANALYSER][:1]
     lines, unused = defaultdict[str, list[TextBytes]](list), {}
     for number, (row, value) in enumerate(zip(cells, values, strict=True), 2):
         one = _character(value) if is_ascii else _byte(value, 10 if is_decimal else 16)
         if one is None:
             unused[number] = rows[number - 2]
         else:
-            time = _time(row[when], _UNITS.get(unit[1] or 's', NS_PER_S))
+            time = _time(row[when], _UNITS.get(unit, NS_PER_S))
             lines[''.join(row[at] for at in named)].append(TextBytes(one, time=time))
     parts = [one._replace(side=_side(name) if len(lines) == 2 else UNKNOWN)
              for name, line in lines.items() for one in line]

@@ -28,10 +28,12 @@ from typing import NamedTuple
 from urllib.parse import quote
 from urllib.parse import unquote
 
+from msg_defs.event import BAUD
 from msg_defs.event import Change
 from msg_defs.event import CHANGES
 from msg_defs.event import Chunk
 from msg_defs.event import IN
+from msg_defs.event import LATENCY_TIMER
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
 from msg_defs.units import NS_PER_S
@@ -65,6 +67,14 @@ class Wire(NamedTuple):
     baud: int
     latency_timer_ms: int = 0
     port: str = ''
+
+    def changed(self, change: Change | None) -> Wire:
+        """Return what is known of the bus after a change; a file may begin at any chunk."""
+        if change is not None and change.what == BAUD:
+            return self._replace(baud=change.value)
+        if change is not None and change.what == LATENCY_TIMER:
+            return self._replace(latency_timer_ms=change.value)
+        return self
 
 
 class Moment(NamedTuple):

@@ -9,13 +9,13 @@ import queue
 import sys
 import time
 
-from msg_defs.event import BAUD
 from msg_defs.event import Chunk
 from servobus.sources.capture import Wire
 from servobus.sources.capture_recorder import moment
 from servobus.sources.listener import STARTING
 from servobus.sources.listeners import listener_on
 from servobus.sources.source import Chunks
+from servobus.sources.source import keeps_rate
 from servobus.sources.source import Source
 from servobus.sources.source_name import bus_name
 from servobus.sources.source_name import has_sides
@@ -55,7 +55,7 @@ class LivePort(Source):
         for chunk in chunks:
             if chunk.data and self._queue.qsize() > QUEUED_CHUNKS_MAX:
                 self._lost += len(chunk.data)
-            elif not (self._overrides and chunk.change and chunk.change.what == BAUD):
+            elif not self._overrides or keeps_rate(chunk):
                 self._queue.put(chunk)
 
     def chunks(self) -> Chunks:

@@ -109,18 +109,27 @@ def how_to_hear(tool: str, command: str, options: Sequence[str] = ()) -> str:
 
 def _file(name: str, file: BufferedReader, baud: int | None, adapter: str | None,
           tool: str) -> File:
+    try:
+        return _read_as(name, file, baud, adapter, tool)
+    except UsageError as error:
+        file.close()
+        raise UsageError(f'{name}: {error}') from error
+
+
+def _read_as(name: str, file: BufferedReader, baud: int | None, adapter: str | None,
+             tool: str) -> File:
+    """Return the source that the content of a file makes it; raise UsageError without a name."""
     head = b''
     # A pipe gives what is there, at least a byte: that is too few to tell.
     while len(head) < HEAD_SIZE and (more := file.read1(HEAD_SIZE - len(head))):
         head += more
         if not MAGIC.startswith(head[:len(MAGIC)]) and not may_be_usb(head):
             break
-    if found := _sigrok_file(name, file, baud, head):
-        return found
-    packed = next((kind for front, kind in _PACKED.items() if head.startswith(front)), None)
-    if packed is not None:
-        file.close()
-        raise UsageError(f'{name}: compressed with {packed}; unpack it first')
+    if head.startswith(b'PK') and file.seekable() and (levels := read_sigrok(file, baud)):
+        return TextFile(name, file, baud, levels)
+    for front, kind in _PACKED.items():
+        if head.startswith(front):
+            raise UsageError(f'compressed with {kind}; unpack it first')
     begin = head + file.read1()
     if is_regular := file.seekable():
         file.seek(-len(begin), os.SEEK_CUR)
@@ -131,8 +140,7 @@ def _file(name: str, file: BufferedReader, baud: int | None, adapter: str | None
     if is_usb(head):
         return UsbFile(name, file, baud, adapter)
     if adapter is not None:
-        file.close()
-        raise UsageError(f'--adapter {adapter}: {name} is not a file of USB events; leave it out')
+        raise UsageError(f'not a file of USB events; leave out --adapter {adapter}')
     if head.startswith(MAGIC):
         return CaptureFile(name, file, baud)
     # Text on a pipe may be what a board prints, for ever; only bytes are waited for to the end.
@@ -164,19 +172,7 @@ def _text_file(name: str, file: BufferedReader, baud: int | None, tool: str) -> 
                    'a text file, not a recording; give a pcap file, raw bytes or a capture (it '
                    f'begins with {MAGIC.decode().strip()!r}), or text that shows packets (of '
                    'a logic analyser: its decoded bytes in hex, as CSV)')
-    file.close()
-    raise UsageError(f'{name}: {problem}')
-
-
-def _sigrok_file(name: str, file: BufferedReader, baud: int | None, head: bytes) -> File | None:
-    if not head.startswith(b'PK') or not file.seekable():
-        return None
-    try:
-        found = read_sigrok(file, baud)
-    except UsageError as error:
-        file.close()
-        raise UsageError(f'{name}: {error}') from error
-    return TextFile(name, file, baud, found) if found else None
+    raise UsageError(problem)
 
 
 def _shown(content: bytes) -> ByteText:

@@ -40,7 +40,6 @@ from servobus.sources.pcap import RESOLUTION
 from servobus.sources.pcap import SECTION
 from servobus.sources.pcap import SECTION_MAGIC
 from servobus.sources.pcap import SPEED
-from servobus.sources.source import Chunks
 from servobus.sources.source import File
 from servobus.sources.source_name import DEFAULT_BAUD
 
@@ -101,12 +100,12 @@ def holds_packets(begin: bytes) -> bool:
 
 
 class PacketFile(File):
-    """Such a file as a source; baud overrides what it says."""
+    """Such a file as a source."""
 
     def _begin(self) -> None:
         self._packets = PcapReader(self._file)
 
-    def chunks(self) -> Chunks:
+    def _read(self) -> Iterator[Chunk]:
         """Yield each packet as a chunk; its stamp is of the last byte, or for OUT of the first."""
         for packet in self._packets:
             if packet.link == LINK_USER0:
@@ -116,22 +115,20 @@ class PacketFile(File):
         stamp, bus = packet.stamp, packet.interface.name
         if not self.began.stamp:
             self.began = Moment(stamp, stamp)
-        wire = self.wires.get(bus)
-        if wire is None:
-            wire = self.wires[bus] = Wire(
-                bus, self._baud or min(packet.interface.speed, BAUD_MAX) or DEFAULT_BAUD,
-                port=packet.interface.about)
+        if bus not in self.wires:
+            self.wires[bus] = Wire(bus, min(packet.interface.speed, BAUD_MAX) or DEFAULT_BAUD,
+                                   port=packet.interface.about)
         for comment in packet.comments:
             if change := _change(comment):
                 yield Chunk(stamp, bus, change=change)
         if packet.data:
             side = _SIDE.get(packet.flags & 3, UNKNOWN)
-            length_ns = 0 if side == OUT else int(len(packet.data) * byte_ns(wire.baud))
+            length_ns = 0 if side == OUT else \
+                int(len(packet.data) * byte_ns(self.wire(bus).baud))
             yield Chunk(stamp + length_ns, bus, packet.data, side)
 
-    def problems(self) -> list[str]:
-        problem = self._packets.problem
-        return [f'{self._name}: {problem}'] if problem else []
+    def _problems(self) -> list[str]:
+        return list(filter(None, [self._packets.problem]))
 
 
 def _change(comment: str) -> Change | None:

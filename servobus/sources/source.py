@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from io import BufferedReader
 import os
 
+from msg_defs.event import BAUD
 from msg_defs.event import Change
 from msg_defs.event import Chunk
 from msg_defs.event import LOST
@@ -67,8 +68,13 @@ class Source:
         """Give up the port or the file."""
 
 
+def keeps_rate(chunk: Chunk) -> bool:
+    """Tell whether a chunk says nothing of the rate."""
+    return chunk.change is None or chunk.change.what != BAUD
+
+
 class File(Source):
-    """A file or a pipe; baud overrides what it says."""
+    """A file or a pipe; baud overrides what it says, from the first chunk to the last."""
 
     def __init__(self, name: str, file: BufferedReader, baud: int | None) -> None:
         super().__init__()
@@ -89,6 +95,24 @@ class File(Source):
     def _bus(self) -> str:
         return 'stdin' if self._name == '-' else os.path.basename(self._name).partition('.')[0]
 
+    def chunks(self) -> Chunks:
+        return (chunk for chunk in self._read() if self._baud is None or keeps_rate(chunk))
+
+    def _read(self) -> Iterator[Chunk]:
+        """Yield all that is in it."""
+        raise NotImplementedError
+
+    def wire(self, bus: str) -> Wire:
+        wire = super().wire(bus)
+        return wire if self._baud is None else wire._replace(baud=self._baud)
+
+    def problems(self) -> list[str]:
+        return [f'{self._name}: {problem}' for problem in self._problems()]
+
+    def _problems(self) -> list[str]:
+        """Return the problems of the file, without its name."""
+        return []
+
     def learn_buses(self, chunks: Iterator[Chunk]) -> None:
         """Read on to the end, for what is known of all buses; chunks: those that are left."""
         for _ in chunks:
@@ -108,7 +132,7 @@ class CaptureFile(File):
         self._reader = Reader(lines(self._file))
         self.wires = self._reader.wires
 
-    def chunks(self) -> Chunks:
+    def _read(self) -> Iterator[Chunk]:
         for chunk in self._reader:
             self.began = self._reader.began
             yield chunk
@@ -120,12 +144,8 @@ class CaptureFile(File):
         list(headers)
         self.wires.update(headers.wires)
 
-    def wire(self, bus: str) -> Wire:
-        wire = super().wire(bus)
-        return wire if self._baud is None else wire._replace(baud=self._baud)
-
-    def problems(self) -> list[str]:
-        return [f'{self._name}: {problem}' for problem in self._reader.problems()]
+    def _problems(self) -> list[str]:
+        return self._reader.problems()
 
 
 class RawFile(File):
@@ -135,10 +155,10 @@ class RawFile(File):
     read_size = READ_SIZE
 
     def _begin(self) -> None:
-        self._add_bus(self._baud or DEFAULT_BAUD)
+        self._add_bus(DEFAULT_BAUD)
 
-    def chunks(self) -> Chunks:
-        [(name, baud, *_)] = self.wires.values()
+    def _read(self) -> Iterator[Chunk]:
+        name, baud, *_ = self.wire(self._bus)
         received = 0
         while data := self._file.read1(self.read_size):
             received += len(data)
@@ -156,9 +176,9 @@ class TextFile(File):
     def _begin(self) -> None:
         self.total = 0
         # No text says the rate; without times packets are placed as with the default one.
-        self._add_bus(self._baud or (0 if self.is_timed else DEFAULT_BAUD))
+        self._add_bus(0 if self.is_timed else DEFAULT_BAUD)
 
-    def chunks(self) -> Chunks:
+    def _read(self) -> Iterator[Chunk]:
         name, baud = self._bus, self._baud or DEFAULT_BAUD
         first = self._text.parts[0].time or 0
         sent = 0
@@ -172,9 +192,9 @@ class TextFile(File):
             if lost > 0:
                 yield Chunk(at, name, change=Change(LOST, lost))
 
-    def problems(self) -> list[str]:
+    def _problems(self) -> list[str]:
         """Say what the text was taken for, and what of it was not used."""
-        text = f'{self._name}: read as {self._text.shape}: {len(self._text.data)} bytes'
+        text = f'read as {self._text.shape}: {len(self._text.data)} bytes'
         text += '' if self.is_timed else '; exact times are not known'
         text += self._text.cut
         if unused := self._text.unused:

@@ -16,7 +16,7 @@ from tempfile import TemporaryFile
 from typing import BinaryIO
 from typing import cast
 
-from msg_defs.event import BAUD
+from msg_defs.event import Chunk
 from servobus.errors import UsageError
 from servobus.sources.capture import Moment
 from servobus.sources.capture import STAMP_END
@@ -26,7 +26,6 @@ from servobus.sources.pcap import LINK_USB_LINUX_MMAPPED
 from servobus.sources.pcap import LINK_USBPCAP
 from servobus.sources.pcap import MAGIC_SIZE
 from servobus.sources.pcap import PcapReader
-from servobus.sources.source import Chunks
 from servobus.sources.source import File
 from servobus.sources.source import READ_SIZE
 from servobus.sources.usb_port import UsbPort
@@ -103,7 +102,7 @@ class UsbEvents:
 
 class UsbFile(File):
     """
-    The chunks of a file of USB events; baud overrides what the file says, None learns it.
+    The chunks of a file of USB events; it says the rate where that is set in it.
 
     adapter: as `Place.words` spells it; needed where several adapters carried bytes. Raises
     UsageError, which lists them. The file is read twice: a pipe goes through a temporary file.
@@ -116,11 +115,11 @@ class UsbFile(File):
         survey = Survey()
         for event in self._events:
             survey.add_event(event)
-        found = _chosen(name, survey.ports(), adapter, self._events.problems)
+        found = _chosen(survey.ports(), adapter, self._events.problems)
         self._port = UsbPort(found.place, found.adapter, self._bus)
-        self._add_bus(baud or 0)
+        self._add_bus(0)
 
-    def chunks(self) -> Chunks:
+    def _read(self) -> Iterator[Chunk]:
         """Yield what was heard, in the order of its stamps: those of the file, ns since 1970."""
         newest = 0
         for event in self._events:
@@ -129,11 +128,10 @@ class UsbFile(File):
                     newest = max(newest, chunk.stamp)
                 if not self.began.stamp:
                     self.began = Moment(newest, newest)
-                if not (self._baud and chunk.change and chunk.change.what == BAUD):
-                    yield chunk._replace(stamp=newest)
+                yield chunk._replace(stamp=newest)
 
-    def problems(self) -> list[str]:
-        return [f'{self._name}: {problem}' for problem in self._events.problems]
+    def _problems(self) -> list[str]:
+        return self._events.problems
 
 
 def _seekable(file: BufferedReader) -> BufferedReader:
@@ -144,7 +142,7 @@ def _seekable(file: BufferedReader) -> BufferedReader:
     return cast(BufferedReader, copy)
 
 
-def _chosen(name: str, ports: list[Found], adapter: str | None, problems: list[str]) -> Found:
+def _chosen(ports: list[Found], adapter: str | None, problems: list[str]) -> Found:
     """Return the port that was asked for, or the only one, or the only one with bytes."""
     named = [one for one in ports if one.place.words == adapter]
     used = named or [one for one in ports if one.size] or ports
@@ -152,9 +150,8 @@ def _chosen(name: str, ports: list[Found], adapter: str | None, problems: list[s
         return used[0]
     if not ports:
         reason = ''.join(f' ({problem})' for problem in problems[:1])
-        raise UsageError(f'{name}: no serial adapter found in it{reason}; record the right USB '
-                         'bus, and start before the port is used')
+        raise UsageError(f'no serial adapter found in it{reason}; record the right USB bus, and '
+                         'start before the port is used')
     known = '; '.join(one.words for one in used)
     problem = f'no adapter {adapter} in it' if adapter else 'several adapters in it'
-    raise UsageError(f'{name}: {problem}: {known}; choose with --adapter '
-                     f'{used[0].place.words}')
+    raise UsageError(f'{problem}: {known}; choose with --adapter {used[0].place.words}')

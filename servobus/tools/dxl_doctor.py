@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from contextlib import closing
 import json
 import os
-import shlex
 import shutil
 import sys
 import time
@@ -20,7 +19,6 @@ from servobus.bus.decoder import PROTOCOLS
 from servobus.doctor.finding_log import BusSummary
 from servobus.errors import ParameterError
 from servobus.errors import UsageError
-from servobus.examination import ARRIVAL_NS
 from servobus.examination import ENOUGH_TRAFFIC_S
 from servobus.examination import Examination
 from servobus.examination import GIVE_UP_SILENCE_S
@@ -41,7 +39,6 @@ from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
 from servobus.tools.doctor import explain
 from servobus.tools.doctor import machine
-from servobus.tools.doctor import no_data
 from servobus.tools.doctor.answer_screen import HEIGHT
 from servobus.tools.doctor.answer_screen import screen
 from servobus.tools.doctor.answer_screen import WIDTH
@@ -50,10 +47,12 @@ from servobus.tools.doctor.issue_report import anonymous
 from servobus.tools.doctor.issue_report import check_report
 from servobus.tools.doctor.issue_report import load_report
 from servobus.tools.doctor.issue_report import make_report
+from servobus.tools.doctor.issue_report import new_devices
 from servobus.tools.doctor.issue_report import new_names
 from servobus.tools.doctor.issue_report import NOTHING
 from servobus.tools.doctor.issue_report import SavedReport
 from servobus.tools.doctor.program_source import Program
+from servobus.tools.doctor.program_verdict import program_verdict
 from servobus.tools.doctor.verdict import as_json
 from servobus.tools.doctor.verdict import make_verdict
 from servobus.tools.doctor.verdict import Verdict
@@ -168,20 +167,18 @@ class _DoctorRun:
         """Listen until there is enough; return for how long (s): of the file, or by the clock."""
         source, examination = self._source, self._examination
         began_s = time.monotonic()
-        is_over = True
+        is_over = False
         try:
             for chunk in source.chunks():
-                if chunk is not None:
-                    examination.feed_chunk(chunk, source.wire(chunk.bus))
-                elif source.is_live:
-                    examination.pass_time(time.monotonic_ns() - ARRIVAL_NS)
+                examination.feed_from(source, chunk)
                 now_s = time.monotonic() - began_s
                 if self._has_enough(now_s):
-                    is_over = False
                     break
                 self._show_progress(now_s)
+            else:
+                is_over = True
         except KeyboardInterrupt:
-            is_over = not source.is_live
+            pass
         finally:
             self._progress.clear()
         self._finish(is_over)
@@ -212,32 +209,24 @@ class _DoctorRun:
 
     def _finish(self, is_over: bool) -> None:
         examination, program = self._examination, self._program
-        if program is not None:
-            ending = program.ending            # others may have read what is missing
-            examination.finish(examination.last if ending.is_over else time.monotonic_ns(), True,
-                               '' if ending.users else ending.failed, program.users)
-        elif is_over and self._source.ended > examination.last:    # it went on in silence
-            examination.pass_time(self._source.ended)
-            examination.finish(self._source.ended, is_over=False)
-        else:
-            examination.finish(examination.last if is_over else time.monotonic_ns(), is_over)
+        if program is None:
+            examination.finish_source(self._source, is_over)
+            return
+        ending = program.ending
+        examination.finish(examination.last if ending.is_over else time.monotonic_ns(), True,
+                           ending.failed_alone, program.users)
 
     def _print_verdict(self, seconds: float) -> Verdict:
         source, program = self._source, self._program
         buses = self._examination.buses(source.is_timed)
-        is_quiet = not self._examination.bytes
         if program is None:
-            name = self._options.source
+            name, is_quiet = self._options.source, not self._examination.bytes
             verdict = make_verdict(name, buses, seconds, source.is_timed, silence.reasons(
                 name, source.is_live) if is_quiet else ())
             more = {}
         else:
-            ending = program.ending
-            verdict = make_verdict(
-                shlex.join(self._command), buses, seconds, source.is_timed,
-                no_data.of_program(self._command, program.ports, ending) if is_quiet else (),
-                program.ports, ending.trouble(), ending.unknowns())
-            more = {'program': {'exit': ending.code, 'error': ending.error}}
+            verdict = program_verdict(program, buses, seconds)
+            more = {'program': {'exit': program.ending.code, 'error': program.ending.error}}
         _print(verdict, as_json(verdict, buses, seconds) | more, self._options)
         return verdict
 
@@ -246,14 +235,14 @@ class _DoctorRun:
         ports = self._program.ports if self._program is not None else \
             list(filter(None, [machine.device(options.source)]))
         buses = self._examination.buses(is_timed)
-        shown = anonymous(buses)
+        shown, names = anonymous(buses), new_names(buses)
         verdict = make_verdict(machine.plain_name(options.source, bool(self._command)), shown,
                                seconds, is_timed, [] if self._examination.bytes else [NOTHING])
         about = [*machine.system(), *machine.adapters(ports, options.with_host)]
         if options.with_host:
             about += machine.host(options.source, self._command)
-        text = make_report(verdict, shown, seconds, about, options,
-                           self._window.capture(new_names(buses)))
+        text = make_report(verdict, shown, seconds, about, new_devices(options.devices, names),
+                           options.protocol, self._window.capture(names))
         with open(options.report, 'w', encoding='utf-8') as file:
             file.write(text)
         print(f'dxl_doctor: the report is in {printable(options.report)}', file=sys.stderr)

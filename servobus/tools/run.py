@@ -16,11 +16,9 @@ import shutil
 
 from servobus.bus.decoder import DEFAULTS
 from servobus.bus.decoder import PROTOCOLS
-from servobus.bus.expected import parse_all
-from servobus.bus.expected import split_bus
 from servobus.errors import UsageError
 from servobus.model.models import Models
-from servobus.settings import check_models
+from servobus.settings import check_devices
 from servobus.settings import load_models
 from servobus.sources.capture import BAUD_MAX
 from servobus.sources.opening import how_to_hear
@@ -104,5 +102,5 @@ def models_of(options: argparse.Namespace) -> Models:
         if not text.isprintable():
             raise UsageError(f'--devices {text!r}: control codes; give plain text')
     models = load_models(options.model_dirs)
-    check_models(parse_all(split_bus(text)[1] for text in options.devices), models)
+    check_devices(options.devices, models)
     return models

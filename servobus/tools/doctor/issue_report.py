@@ -10,13 +10,13 @@ limit.
 """
 from __future__ import annotations
 
-import argparse
 from base64 import b64decode
 from base64 import b64encode
 from binascii import Error as Base64Error
 import bz2
 from collections.abc import Callable
 from collections.abc import Iterator
+from collections.abc import Mapping
 from collections.abc import Sequence
 from contextlib import suppress
 import gzip
@@ -32,6 +32,7 @@ import zlib
 
 from msg_defs.diagnostics import Level
 from msg_defs.event import Chunk
+from servobus.bus.expected import split_bus
 from servobus.doctor.finding_log import BusSummary
 from servobus.errors import UsageError
 from servobus.plain import printable
@@ -88,11 +89,19 @@ def new_names(buses: Sequence[BusSummary]) -> dict[str, str]:
     return {bus.report.name: f'bus{number}' for number, bus in enumerate(buses, 1)}
 
 
+def new_devices(entries: Sequence[str], names: Mapping[str, str]) -> list[str]:
+    """Return the entries of --devices with what their buses are called in a report."""
+    parted = map(split_bus, entries)
+    return [f'{names[bus]}/{rest}' if bus else rest for bus, rest in parted
+            if not bus or bus in names]
+
+
 def make_report(verdict: Verdict, buses: Sequence[BusSummary], seconds: float,
-                about: Sequence[str], options: argparse.Namespace, capture: bytes) -> str:
-    """Return the text of a report; about: lines about the machine; options: of the command."""
+                about: Sequence[str], devices: Sequence[str], protocol: str,
+                capture: bytes) -> str:
+    """Return the text of a report; about: lines about the machine; the names are new ones."""
     stored = {'verdict': verdict._asdict(), 'json': as_json(verdict, buses, seconds),
-              'devices': options.devices, 'protocol': options.protocol}
+              'devices': devices, 'protocol': protocol}
     text = [f'{REPORT} {VERSION}', *_ABOUT, '', *screen(verdict, height=None), '', 'System:']
     text += [f'  {printable(line)}' for line in about]
     for bus in buses:

@@ -15,7 +15,6 @@ import json
 import ntpath
 import os
 from pathlib import Path
-import re
 import secrets
 import signal
 import time
@@ -65,9 +64,6 @@ _LEFT = ('the program closed the connection of the tap after {:.1f} s; what it s
 _IN_BACKGROUND = ('the program goes on in the background and is no longer heard: let it run in '
                   f'the foreground, or write --by {STRACE} in front of --')
 _BESIDES = f'if it writes to the descriptor itself, write --by {STRACE} in front of --'
-# termios.error as Python names it, and what pyserial makes of the same.
-_REFUSED_RATE = re.compile(r'^(termios\.)?error: \(22, |custom baud rate|'
-                           r'non-standard baudrates|[Ii]nvalid baud ?rate')
 _ROBBED = 'multiple access on port'        # as pyserial says
 
 
@@ -94,11 +90,17 @@ class Ending(NamedTuple):
         return FAILED if self.is_of_thread else self._cause
 
     @property
+    def failed_alone(self) -> str:
+        """The same where no other program can have read what it missed, otherwise empty."""
+        return '' if self.users else self.failed
+
+    @property
     def _cause(self) -> str:
-        if _REFUSED_RATE.search(self.error):
+        means = explain.find(self.error or '-')
+        if any('rate_refused' in one.findings for one in means):
             return RATE_REFUSED
         is_of_library = self.packages & SERVO_LIBRARIES or any(
-            not one.is_general for one in explain.find(self.error or '-'))
+            not one.is_general for one in means)
         return RAISED if is_of_library else FAILED
 
     @property
@@ -175,6 +177,7 @@ class Program(Source):
         super().__init__()
         name = f'doctor-{secrets.token_hex(4)}'
         self._ending = Ending()
+        self.command = command
         self.ports: list[str] = []
         self._was_stopped = False
         self._unheard: str | None = None       # unknown as long as it runs

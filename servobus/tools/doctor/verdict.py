@@ -17,6 +17,7 @@ from typing import Any
 from typing import NamedTuple
 
 from msg_defs.diagnostics import Level
+from servobus.bus.expected import spans
 from servobus.bus.report import CONNECTED
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import Finding
@@ -35,7 +36,6 @@ from servobus.plain_data import bus_data
 from servobus.plain_data import device_data
 from servobus.plain_data import finding_data
 from servobus.tools.doctor import explain
-from servobus.tools.dump.text_format import spans
 
 WELL, NOTHING_HEARD, WARNING, ERROR = 0, 1, 3, 4      # exit codes; 2 is a wrong command line
 PORTS_NAMED_MAX = 2

@@ -111,9 +111,10 @@ class Session:
         settings = settings_of(bus, self._source.wire(bus), self._options.devices,
                                self._options.protocol)
         listing = None
-        if self._lists or self._packets is not None:
+        shows = self._lists or self._options.count is not None
+        if shows or self._packets is not None:
             listing = Listing(self._models, lambda entry: show(entry), settings,
-                              self._source.is_timed, is_plain=not self._lists)
+                              self._source.is_timed, is_plain=not shows)
             show = partial(self._accept_entry, bus, listing)
         self._monitors[bus] = monitor = Monitor(printable(bus), self._models, settings,
                                                 decoder=listing, names=OPTIONS)
@@ -125,13 +126,12 @@ class Session:
                 self._packets.record_entry(bus, entry)
             except OSError as error:
                 raise self._named(error) from error
-        if self._lists:
-            self._show(printable(bus), listing, entry)
+        if is_wanted(entry, self._options) and not self._has_enough():
+            self._shown += entry.packet is not None
+            if self._lists:
+                self._show(printable(bus), listing, entry)
 
     def _show(self, bus: str, listing: Listing, entry: Entry) -> None:
-        """Show an entry, if it is wanted."""
-        if not is_wanted(entry, self._options) or self._has_enough():
-            return
         began = self._source.began
         stamp = entry.stamp - began.stamp + began.wall
         parts = parts_of(entry, listing)
@@ -140,7 +140,6 @@ class Session:
             line = self._lines.line(bus, stamp, entry, parts)
         elif entry.packet is not None:
             line = json_line(bus, stamp // 1000, entry.packet, entry, parts)
-        self._shown += entry.packet is not None
         sys.stdout.write(line + '\n')
 
     def _fit_lines(self) -> None:

@@ -6,7 +6,6 @@ The meaning of a packet in words, for a line of dxl_dump.
 Pure. 'Goal Position 1.5708 rad' where the model is known, '4 at 116: 00 08 00 00' where not.
 """
 
-from collections.abc import Iterable
 from collections.abc import Sequence
 from itertools import groupby
 
@@ -20,6 +19,7 @@ from msg_defs.dxl_packet import Packet
 from msg_defs.dxl_packet import STATUS
 from msg_defs.frame import OPEN
 from servobus.bus.evidence import text_of
+from servobus.bus.expected import spans
 from servobus.tools.dump.decode import identity_of
 from servobus.tools.dump.decode import Part
 from servobus.tools.dump.listing import Entry
@@ -31,20 +31,6 @@ _ERROR_MEANINGS = {
     6: 'beyond its limit', 7: 'no such register, read-only, or locked by Torque Enable',
 }
 _FLAWS = {'crc': 'wrong CRC', 'cut': 'ends too early', 'length': 'impossible Length'}
-
-
-def runs(numbers: Iterable[int]) -> list[tuple[int, int]]:
-    """Return first and last of each run: of 1, 2, 3, 9 it is (1, 3), (9, 9)."""
-    found: list[tuple[int, int]] = []
-    for number in numbers:
-        first = found.pop()[0] if found and number == found[-1][1] + 1 else number
-        found.append((first, number))
-    return found
-
-
-def spans(ids: Iterable[int], spelt: str = '{}') -> list[str]:
-    """Return '1-20', '22': runs of IDs in the order given."""
-    return ['-'.join(map(spelt.format, dict.fromkeys(run))) for run in runs(ids)]
 
 
 def error_words(error: int) -> str:

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from msg_defs import dxl1_instruction
 from msg_defs import dxl_instruction
+from servobus.bus.expected import runs
 from servobus.model.control_table import Field
 from servobus.model.models import Models
-from servobus.tools.dump.text_format import runs
 
 FILE_NAME = 'servobus_tables.lua'
 _HEAD = """-- Copyright 2026 The mecarover_serial authors

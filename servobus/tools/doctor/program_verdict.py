@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""Why a program said nothing, as far as is known; sources/silence.py: why a source did."""
+"""What is said of a program that was run; why it said nothing, if so (else sources/silence.py)."""
 
 from __future__ import annotations
 
@@ -12,10 +12,14 @@ from os.path import isfile
 import re
 import shlex
 
+from servobus.doctor.finding_log import BusSummary
 from servobus.port.port_error import Reason
 from servobus.port.preflight import ports_here
 from servobus.port.preflight import why_not
 from servobus.tools.doctor.program_source import Ending
+from servobus.tools.doctor.program_source import Program
+from servobus.tools.doctor.verdict import make_verdict
+from servobus.tools.doctor.verdict import Verdict
 
 _IMPORT_ERRORS = ('ModuleNotFoundError', 'ImportError')
 
@@ -23,7 +27,17 @@ _IMPORT_ERRORS = ('ModuleNotFoundError', 'ImportError')
 _PORT = re.compile(r"\b(?:open|on|lock) port '?(.+?)'?[:.] |: '(/dev/[^']+)'")
 
 
-def of_program(command: Sequence[str], ports: Sequence[str], ending: Ending) -> list[str]:
+def program_verdict(program: Program, buses: Sequence[BusSummary], seconds: float) -> Verdict:
+    """Return what is said of a program after so many seconds."""
+    ending = program.ending
+    is_quiet = not any(bus.report.counters['Bytes'] for bus in buses)
+    return make_verdict(
+        shlex.join(program.command), buses, seconds, program.is_timed,
+        _why_quiet(program.command, program.ports, ending) if is_quiet else (),
+        program.ports, ending.trouble(), ending.unknowns())
+
+
+def _why_quiet(command: Sequence[str], ports: Sequence[str], ending: Ending) -> list[str]:
     """Return why a program said nothing; ports: those that it opened."""
     ended = f'{command[0]} ended' if ending.is_over else f'{command[0]} runs'
     if ending.error:
