@@ -6,6 +6,7 @@ import {EventList, GAP} from './causes.js';
 import {each, h, say, set} from './dom.js';
 import {clock, offset, plural, zone} from './format.js';
 import {HistoryCards, unitOf} from './history_cards.js';
+import {choice, showChosen} from './parts.js';
 import {Pause} from './pause.js';
 import {path} from './place.js';
 import {Plot} from './plot.js';
@@ -39,19 +40,16 @@ export class HistoryPanel {
   constructor(of, {from = '-1 h', to = '', at = null, kind = ''} = {}, changed = () => {}) {
     Object.assign(this, {of, from, to, at, kind, changed});
     this.usual = isRelative(from) && isRelative(to) ? from : '-1 h';
-    this.spans = h('div', {class: 'choice', role: 'group', ariaLabel: 'Time shown'},
-      ...SPANS.map((span) => h('button', {type: 'button', 'data-span': span,
-        onclick: () => this.#choose(`-${span}`, '')}, span)));
+    this.spans = choice('Time shown', SPANS.map((span) => [`-${span}`, span]),
+      (from) => this.#choose(from, ''));
     this.begin = this.#time('from');
     this.end = this.#time('to', 'now');
     this.slider = h('input', {type: 'range', ariaLabel: 'Time looked at', disabled: '', value: 100,
       oninput: () => this.#scrub(Number(this.slider.value)), onchange: () => this.changed()});
     this.when = h('span', {class: 'player-time'});
-    this.live = h('button', {type: 'button', class: 'button',
+    this.live = h('button', {class: 'button',
       onclick: () => this.#choose(this.usual, '')}, 'Live');
-    this.kinds = h('div', {class: 'choice', role: 'group', ariaLabel: 'Events shown'},
-      ...Object.entries(KINDS).map(([one, text]) => h('button', {type: 'button', 'data-kind': one,
-        onclick: () => this.#only(one)}, text)));
+    this.kinds = choice('Events shown', Object.entries(KINDS), (kind) => this.#only(kind));
     this.pause = new Pause('Events, errors', () => this.update(this.store));
     this.saves = ['csv', 'json'].flatMap((format) => [...of ? ['values'] : [], 'events'].map(
       (what) => h('a', {class: 'button small', download: `${what}.${format}`, 'data-what': what,
@@ -217,12 +215,8 @@ export class HistoryPanel {
   /** What somebody chose, also while there is no answer. */
   #showChoice() {
     set(this.live, 'aria-pressed', this.#isLive);
-    for (const button of this.spans.children) {
-      set(button, 'aria-pressed', this.to === '' && this.from === `-${button.dataset.span}`);
-    }
-    for (const button of this.kinds.children) {
-      set(button, 'aria-pressed', button.dataset.kind === this.kind);
-    }
+    showChosen(this.spans, this.to ? null : this.from);
+    showChosen(this.kinds, this.kind);
     for (const [input, given] of [[this.begin, this.from], [this.end, this.to]]) {
       if (document.activeElement === input && !this.#isTyped) continue;
       input.value = isUnix(given) ? clock(Number(given), this.now) : given;

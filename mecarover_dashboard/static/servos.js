@@ -4,8 +4,8 @@
 // temperature, voltage; of a board its model and how it answers. A bar needs a scale: what the
 // device itself says, or else the usual one.
 
-import {each, h, icon, say, set, setIcon} from './dom.js';
-import {clock, figure, id3, numberOf, short} from './format.js';
+import {each, h, icon, say, set, showState} from './dom.js';
+import {clock, id3, numberOf, short} from './format.js';
 import {path} from './place.js';
 import {isQuiet, saysMore, stateOf, wordOf} from './store.js';
 import {positionText} from './units.js';
@@ -67,8 +67,7 @@ function showServo(item, device, store, instead) {
   const [head, text, about, ...lines] = item.firstChild.children;
   const state = stateOf(device);
   set(item.firstChild, 'data-state', state);
-  set(head, 'data-state', state);
-  setIcon(head.children[0], state);
+  showState(head, state);
   say(head.children[1], id3(device.id));
   sayInParts(head.children[2], device.joint || device.model);
   const isSick = state !== 'ok';

@@ -5,7 +5,7 @@
 
 import {each, h, say, set} from './dom.js';
 import {clock, figure, id3, numberOf, splitUnit} from './format.js';
-import {fillEmpty} from './parts.js';
+import {choice, fillEmpty, showChosen} from './parts.js';
 import {keepFilters, path} from './place.js';
 import {Plot} from './plot.js';
 import {csvOf, Difference, MOST, Signal, Signals, SPAN_S} from './signal.js';
@@ -52,17 +52,15 @@ export class SignalsView {
       this.key = undefined;
       this.update(this.store);
     }});
-    this.add = h('button', {type: 'button', class: 'button', onclick: () => this.#change()});
-    this.addAll = h('button', {type: 'button', class: 'button', onclick: () => this.#addAll(),
+    this.add = h('button', {class: 'button', onclick: () => this.#change()});
+    this.addAll = h('button', {class: 'button', onclick: () => this.#addAll(),
       title: `This register of each servo of this model, up to ${MOST} registers`}, 'Add for all');
     this.minus = h('select', {ariaLabel: 'Difference', onchange: () => this.#subtract()});
-    this.spans = h('div', {class: 'choice', role: 'group', ariaLabel: 'Time shown'},
-      ...SPANS.map(([span, text]) => h('button', {type: 'button', 'data-span': span,
-        onclick: () => this.#show(span)}, text)));
-    this.pause = h('button', {type: 'button', class: 'button', onclick: () => this.#pause()});
-    this.marks = h('button', {type: 'button', class: 'button', title: 'Count from the cursor',
+    this.spans = choice('Time shown', SPANS, (span) => this.#show(span));
+    this.pause = h('button', {class: 'button', onclick: () => this.#pause()});
+    this.marks = h('button', {class: 'button', title: 'Count from the cursor',
       onclick: () => this.#setMark(this.#mark === null ? this.#cursor : null)}, 'Mark');
-    this.csv = h('button', {type: 'button', class: 'button', onclick: () => this.#save()}, 'CSV');
+    this.csv = h('button', {class: 'button', onclick: () => this.#save()}, 'CSV');
     this.words = h('p', {class: 'quiet', role: 'status'});
     this.empty = h('div', {class: 'empty'});
     this.graphs = h('div', {class: 'graphs'});
@@ -279,9 +277,7 @@ export class SignalsView {
       return;
     }
     for (const one of this.differences) one.update();
-    for (const button of this.spans.children) {
-      set(button, 'aria-pressed', !this.#zoom && Number(button.dataset.span) === this.#span);
-    }
+    showChosen(this.spans, this.#zoom ? null : this.#span);
     say(this.pause, isOpen ? 'Pause' : 'Paused');
     set(this.pause, 'aria-pressed', !isOpen);
     set(this.csv, 'disabled', !all.length);

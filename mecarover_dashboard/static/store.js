@@ -15,10 +15,12 @@ export const LEVELS = ['ok', 'warn', 'error', 'stale'];
 export const WORDS = {ok: 'OK', warn: 'Warning', error: 'Error', stale: 'Silent'};
 const SEVERITY = {ok: 0, warn: 1, stale: 2, error: 3};
 
-export const worst = (states) =>
-  states.reduce((a, b) => SEVERITY[b] > SEVERITY[a] ? b : a, 'ok');
+/** The order of two states: an error first, then what is silent. */
+export const worstFirst = (a, b) => SEVERITY[b] - SEVERITY[a];
+export const worst = (states) => states.reduce((a, b) => worstFirst(a, b) > 0 ? b : a, 'ok');
 export const isQuiet = (row) => row?.quiet_since !== undefined;
 export const stateOf = (row) => !row || isQuiet(row) ? 'stale' : LEVELS[row.level] ?? 'stale';
+export const byUrgency = (a, b) => worstFirst(stateOf(a), stateOf(b)) || a.id - b.id;
 export const isLost = (device) => stateOf(device) === 'error' && AWAY.has(device.state);
 export const deviceName = (device) =>
   device.joint ? `${id3(device.id)} ${isolate(device.joint)}` : id3(device.id);

@@ -2,15 +2,13 @@
 // SPDX-License-Identifier: Apache-2.0
 // Devices as a table of values: the worst first, or by any column.
 
-import {each, h, icon, say, set, setIcon} from './dom.js';
+import {each, h, icon, say, set, showState} from './dom.js';
 import {FIGURES} from './figures.js';
 import {id3, isolate, numberOf, short} from './format.js';
 import {path} from './place.js';
-import {isQuiet, stateOf, wordOf} from './store.js';
+import {byUrgency, isQuiet, stateOf, wordOf} from './store.js';
 import {positionText} from './units.js';
 
-const RANK = {error: 0, stale: 1, warn: 2, ok: 3};
-const worstFirst = (a, b) => RANK[stateOf(a)] - RANK[stateOf(b)] || a.id - b.id;
 const figureOf = (text) => {
   const value = numberOf(text ?? '');
   return Number.isFinite(value) ? value : null;
@@ -45,13 +43,16 @@ export class DeviceTable {
   #drawn = -Infinity;          // when, s of the page
   #states = '';
 
-  /** choose(order, isUp) is called when a heading is pressed. */
-  constructor(choose) {
+  /** changed() is called when a heading was pressed. */
+  constructor(changed) {
     this.heads = COLUMNS.map((one) => {
       const [name, text] = [nameOf(one), one[1]];
       return h('th', {scope: 'col', class: one[0]},
-        h('button', {type: 'button', class: 'sort', title: TITLES[name] ?? null,
-          onclick: () => choose(name, name === this.#by && !this.#isUp)}, text));
+        h('button', {class: 'sort', title: TITLES[name] ?? null,
+          onclick: () => {
+            this.sort(name, name === this.#by && !this.#isUp);
+            changed();
+          }}, text));
     });
     this.rows = h('tbody');
     this.seen = new IntersectionObserver((rows) => rows.forEach(noteSeen), {rootMargin: '200px'});
@@ -107,9 +108,9 @@ export class DeviceTable {
   #compare(a, b) {
     const turn = this.#isUp ? -1 : 1;
     const by = ORDERS[this.#by];
-    if (!by) return turn * worstFirst(a.device, b.device);
+    if (!by) return turn * byUrgency(a.device, b.device);
     const [x, y] = [by(a.device, a.values), by(b.device, b.values)];
-    if (x === y) return worstFirst(a.device, b.device);
+    if (x === y) return byUrgency(a.device, b.device);
     if (x === null || y === null) return x === null ? 1 : -1;       // what is unknown goes last
     const isFirst = this.#by === 'id' || this.#by === 'model' ? x < y : x > y;
     return turn * (isFirst ? -1 : 1);
@@ -141,8 +142,7 @@ function updateRow(row, {device, bus, values}) {
   COLUMNS.forEach(([name, , text], at) => {
     const cell = row.children[at];
     if (name === 'state') {
-      set(cell.firstChild, 'data-state', state);
-      setIcon(cell.firstChild.firstChild, state);
+      showState(cell.firstChild, state);
       say(cell.firstChild.lastChild, isQuiet(device) ? wordOf(device) : device.message);
     } else if (name === 'id') {
       say(cell.firstChild.firstChild, id3(device.id));
