@@ -19,12 +19,13 @@ const COLUMNS = [
   ['state', 'State', (device) => wordOf(device), null],
   ['id', 'Device', null, (device) => device.id],
   ['model', 'Model', (device) => device.model, (device) => device.model],
-  ['position', 'Position', (device, [, , , , value, unit]) => positionText(value, unit),
-    (_, [, , , , value]) => figureOf(value)],
-  ['temperature', '\u00b0C', (device, [value]) => value, (_, [value]) => figureOf(value)],
-  ['voltage', 'V', (device, [, value]) => value, (_, [, value]) => figureOf(value)],
-  ['load', 'Load', (device, [, , value, unit]) => value && `${value} ${unit}`,
-    (_, [, , value]) => value ? Math.abs(figureOf(value)) : null],
+  ['position', 'Position', (_, {position, positionUnit}) => positionText(position, positionUnit),
+    (_, {position}) => figureOf(position)],
+  ['temperature', '\u00b0C', (_, {temperature}) => temperature,
+    (_, {temperature}) => figureOf(temperature)],
+  ['voltage', 'V', (_, {voltage}) => voltage, (_, {voltage}) => figureOf(voltage)],
+  ['load', 'Load', (_, {load, loadUnit}) => load && `${load} ${loadUnit}`,
+    (_, {load}) => load ? Math.abs(figureOf(load)) : null],
   ...FIGURES.map(({name, heading, digits}) => [`${name} figure`, heading,
     (device) => isQuiet(device) ? '' : short(device[name], digits),
     (device) => figureOf(device[name])]),
@@ -32,7 +33,6 @@ const COLUMNS = [
 const nameOf = (column) => column[0].split(' ')[0];
 export const ORDERS = Object.fromEntries(COLUMNS.map((one) => [nameOf(one), one[3]]));
 const CALM_S = 0.95;
-const NONE = ['', '', '', '', '', ''];
 const TITLES = {...Object.fromEntries(FIGURES.map(({name, title}) => [name, title])),
   temperature: 'Temperature (\u00b0C)', voltage: 'Voltage (V)',
   load: 'Load, or current, whichever the model has'};
@@ -80,7 +80,7 @@ export class DeviceTable {
   update(groups, store) {
     const devices = groups.flatMap((group) =>
       group.devices.map((device) => ({device, bus: groups.length > 1 ? group.label : '',
-        values: store.values.get(device.name) ?? NONE})));
+        values: store.valuesOf(device)})));
     if (!this.#isDue(devices)) return;
     each(this.rows, devices.sort((a, b) => this.#compare(a, b)), ({device}) => device.name,
       (one) => this.#make(one), updateIfSeen);
