@@ -10,6 +10,7 @@ import {choice, showChosen} from './parts.js';
 import {Pause} from './pause.js';
 import {path} from './place.js';
 import {Plot} from './plot.js';
+import {Plots} from './plots.js';
 import {LEVELS} from './store.js';
 
 const SPANS = ['10 min', '1 h', '8 h', '24 h'];
@@ -25,7 +26,6 @@ const isRelative = (text) => /^([-\u2212].*|now)?$/.test(text);
 const isUnix = (text) => /^[\d.]+$/.test(text);
 
 export class HistoryPanel {
-  #plots = new Map();
   #asked = -Infinity;          // when, s of the page
   #answer = 0;                 // number of the question that is not answered yet
   #range = null;               // [from, to] of what is shown, Unix s
@@ -58,14 +58,17 @@ export class HistoryPanel {
     this.zone = h('p', {class: 'quiet'}, `Times here: ${zone()}. Times in the files: UTC.`);
     this.levels = h('div', {class: 'levels', role: 'img', ariaLabel: 'State'});
     this.levels.hidden = true;
-    this.graphs = h('div', {class: 'graphs'});
+    this.plots = new Plots(([name]) => this.#makePlot(name), (cursor) => {
+      if (cursor === null) this.#point();
+    });
     this.events = new EventList(pathAround);
     this.cards = new HistoryCards((at, name) => `${path('history', name)}?${
       new URLSearchParams({from: this.from, to: this.to, at: String(at)})}`);
     this.body = h('div', {class: 'past'},
       h('div', {class: 'past-head'}, this.spans, h('label', {}, 'From ', this.begin),
         h('label', {}, 'To ', this.end)),
-      h('div', {class: 'player scrub'}, this.slider, this.when, this.live), this.levels, this.graphs,
+      h('div', {class: 'player scrub'}, this.slider, this.when, this.live), this.levels,
+      this.plots.element,
       h('div', {class: 'past-head'}, this.kinds, this.pause.element,
         ...this.saves), this.zone,
       h('div', {class: 'past-then'}, this.cards.element, this.events.element));
@@ -80,7 +83,7 @@ export class HistoryPanel {
     return input;
   }
 
-  close() { for (const plot of this.#plots.values()) plot.close(); }
+  close() { this.plots.close(); }
 
   get #isLive() { return this.at === null && isRelative(this.to); }
 
@@ -208,8 +211,7 @@ export class HistoryPanel {
 
   /** Put the cursor of the plots where it is while no pointer moves it. */
   #point() {
-    const cursor = this.at === null ? null : this.#range[1] - this.at;
-    for (const plot of this.#plots.values()) plot.point(cursor);
+    this.plots.point(this.at === null ? null : this.#range[1] - this.at);
   }
 
   /** What somebody chose, also while there is no answer. */
@@ -247,28 +249,17 @@ export class HistoryPanel {
     const gap = 2.5 * (answer?.step ?? 1);
     this.levels.hidden = !source;
     if (source) showLevels(this.levels, runsOf(source.levels, answer.step), range);
-    each(this.graphs, values, ([name]) => name, ([name]) => this.#graph(name),
-      (figureElement, [name, points]) => this.#plots.get(name).update(
-        [{name: name.replaceAll('_', ' '), unit: unitOf(name, source), points,
-          step: answer.step}], range[1], {unix: (s) => s, gap}));
-    for (const [name, plot] of this.#plots) {
+    this.plots.update(values, ([name]) => name, (plot, [name, points]) => {
+      plot.update([{name: name.replaceAll('_', ' '), unit: unitOf(name, source), points,
+        step: answer.step}], range[1], {unix: (s) => s, gap});
       plot.cover(range[1] - range[0]);
-      if (!values.some(([one]) => one === name)) {
-        plot.close();
-        this.#plots.delete(name);
-      }
-    }
+    });
   }
 
-  #graph(name) {
+  #makePlot(name) {
     const plot = new Plot(name, 3600);
     plot.onZoom = (zoom) => zoom && this.#choose(...widened(...zoom).map((s) => s.toFixed(0)));
-    plot.onCursor = (cursor) => {
-      if (cursor === null) this.#point();
-      else for (const other of this.#plots.values()) if (other !== plot) other.point(cursor);
-    };
-    this.#plots.set(name, plot);
-    return plot.element;
+    return plot;
   }
 
   #showEvents() {
