@@ -1135,6 +1135,14 @@ def test_on_paper_it_is_black_on_white(dashboard, robot, open_page):
     assert drawn >= 3                           # overview, device, log: plots of light colours
 
 
+@pytest.mark.parametrize(('view', 'name'), [('devices', 'Cards'), ('device', 'Changing only')])
+def test_a_button_that_stays_pressed_is_one_before_it_is_pressed(page, view, name):
+    """Without aria-pressed a screen reader says that it is no such button."""
+    show(page, view)
+    button = page.locator('main').get_by_role('button', name=name)
+    assert button.get_attribute('aria-pressed') == 'false'
+
+
 def test_shortcuts_can_be_switched_off(page):
     page.locator('#show-keys').click()
     page.locator('#shortcuts').uncheck()

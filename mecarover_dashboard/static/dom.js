@@ -14,9 +14,9 @@ export function h(tag, attributes = {}, ...children) {
   return element;
 }
 
-/** Set an attribute if that changes anything; false and null remove it. */
+/** Set an attribute if that changes anything; null removes it, and false where that says the same. */
 export function set(element, name, value) {
-  if (value === false || value == null) {
+  if (value == null || (value === false && name !== 'aria-pressed')) {
     if (element.hasAttribute(name)) element.removeAttribute(name);
   } else if (element.getAttribute(name) !== String(value)) {
     element.setAttribute(name, value);
