@@ -461,6 +461,13 @@ def test_a_link_shows_the_same_difference_time_and_cursors(open_page):
         page.context.close()
 
 
+@pytest.mark.parametrize('size', ['touch', 'phone'])
+def test_the_choice_of_signals_is_whole_on_a_small_display(dashboard, robot, open_page, size):
+    page = open_page(f'{dashboard.address}#/signals?{PAIR}', size)
+    see(page, '[aria-label=Difference]', 'Present Position \u2212 Goal Position')
+    assert page.evaluate(BEYOND) == []
+
+
 def test_registers_of_several_servos_in_few_steps(page):
     """The register stays when the servo changes; one button adds it for all of a model."""
     show(page, 'signals')
@@ -838,7 +845,7 @@ def test_a_time_of_the_history_fits_and_is_accessible(open_page, tmp_path, size)
             page.locator(ready).first.wait_for()
             page.locator('.events summary').first.click()
             assert page.evaluate('document.documentElement.scrollWidth - innerWidth') <= 0
-            assert page.evaluate(TOO_NARROW) == []
+            assert page.evaluate(TOO_NARROW) == page.evaluate(BEYOND) == []
             assert size == 'desktop' or page.evaluate(TOO_SMALL) == []
             if axe:
                 page.evaluate(axe)
@@ -930,6 +937,12 @@ TOO_NARROW = """() => [...document.querySelectorAll('main .devices thead th')]
     .map((one) => `${one.textContent}: ${one.clientWidth} px`)"""
 
 
+BEYOND = """() => [...document.querySelectorAll('.past-head > *')]
+    .filter((one) => one.checkVisibility()
+        && one.getBoundingClientRect().right > document.documentElement.clientWidth)
+    .map((one) => one.textContent)"""
+
+
 ANGLES = [('overview', '.servo', '007.*Position'), ('devices', '.devices tr', '007'),
           ('device', '.device-fields tr', 'Present Position'), ('device', '.legend', ''),
           ('signals', '.legend', 'Present Position'),
@@ -986,6 +999,7 @@ def test_every_view_fits_and_fingers_find_their_targets(dashboard, robot, open_p
         wide = page.evaluate('document.documentElement.scrollWidth - innerWidth')
         assert wide <= 0, f'{view} is {wide} px too wide'
         assert page.evaluate(TOO_NARROW) == [], view
+        assert page.evaluate(BEYOND) == [], view
         if size != 'desktop':
             assert page.evaluate(TOO_SMALL) == [], view
 
@@ -1119,6 +1133,14 @@ def test_on_paper_it_is_black_on_white(dashboard, robot, open_page):
         page.emulate_media(media='screen')
         wait(lambda: page.evaluate('document.documentElement.dataset.theme') == 'dark')
     assert drawn >= 3                           # overview, device, log: plots of light colours
+
+
+@pytest.mark.parametrize(('view', 'name'), [('devices', 'Cards'), ('device', 'Changing only')])
+def test_a_button_that_stays_pressed_is_one_before_it_is_pressed(page, view, name):
+    """Without aria-pressed a screen reader says that it is no such button."""
+    show(page, view)
+    button = page.locator('main').get_by_role('button', name=name)
+    assert button.get_attribute('aria-pressed') == 'false'
 
 
 def test_shortcuts_can_be_switched_off(page):

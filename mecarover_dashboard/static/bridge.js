@@ -3,9 +3,9 @@
 // View 5: the bridge: its last command, its link, what was refused, how long a command takes.
 
 import {Command, COMMAND_KEYS} from './command.js';
-import {each, h, icon, say, set, setIcon} from './dom.js';
+import {each, h, icon, say, set, showState} from './dom.js';
 import {short, splitUnit} from './format.js';
-import {fillEmpty, metricsHead, metricToPlot, seriesOf, showMetrics} from './parts.js';
+import {fillEmpty, metricsHead, metricToPlot, panel, seriesOf, showMetrics} from './parts.js';
 import {Plot} from './plot.js';
 import {stateOf} from './store.js';
 
@@ -20,10 +20,10 @@ export class BridgeView {
     this.empty = h('div', {class: 'empty'});
     this.body = h('div', {class: 'columns'},
       h('div', {},
-        h('section', {class: 'panel'}, h('h2', {}, 'Last command'), this.command.element),
+        panel('Last command', this.command.element),
         this.cards.link.element),
       h('div', {},
-        h('section', {class: 'panel'}, h('h2', {}, 'Timing'), this.plot.element,
+        panel('Timing', this.plot.element,
           h('table', {class: 'figures'},
             h('caption', {class: 'unseen'}, 'Timing over the last 10 s'), metricsHead(),
             this.rows)),
@@ -61,15 +61,14 @@ export class BridgeView {
 function card(title) {
   const badge = h('p', {class: 'message'}, icon('stale'), h('span'));
   const rows = h('tbody');
-  const element = h('section', {class: 'panel'}, h('h2', {}, title), badge,
+  const element = panel(title, badge,
     h('table', {class: 'fields facts'}, h('caption', {class: 'unseen'}, title), rows));
   return {element, update(row, part) {
     const state = stateOf(row);
     const isOld = part?.is_known === false;
     badge.hidden = isOld || (part && row?.message === part.text);      // said with the command
     set(element, 'data-old', isOld);
-    set(badge, 'data-state', state);
-    setIcon(badge.firstChild, state);
+    showState(badge, state);
     say(badge.lastChild, row?.message ?? 'no status yet');
     const shown = (row?.values ?? []).filter(([key]) => !COMMAND_KEYS.has(key));
     each(rows, shown, ([key]) => key, makeFact, (line, [key, value]) => {

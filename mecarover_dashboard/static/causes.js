@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The list of events, grouped by cause: how often, when first and last; opened, each of them.
 
-import {each, h, icon, say, set, setIcon} from './dom.js';
+import {each, h, icon, say, set, showState} from './dom.js';
 import {clock, list, plural} from './format.js';
 import {LEVELS, worst} from './store.js';
 
@@ -104,10 +104,9 @@ export class EventList {
   }
 
   #showCause(item, cause) {
-    const [symbol, time, who, text, often] = item.firstChild.firstChild.children;
+    const [, time, who, text, often] = item.firstChild.firstChild.children;
     item.events = cause.events;
-    set(item.firstChild.firstChild, 'data-state', cause.state);
-    setIcon(symbol, cause.state);
+    showState(item.firstChild.firstChild, cause.state);
     say(time, clock(cause.last, this.now));
     say(who, list(cause.who));
     say(text, cause.text);
@@ -124,10 +123,9 @@ export class EventList {
   }
 
   #showEvent(item, event) {
-    const [symbol, time, link, words] = item.children;
+    const [, time, link, words] = item.children;
     const [at, name] = event;
-    set(item, 'data-state', stateOf(event));
-    setIcon(symbol, stateOf(event));
+    showState(item, stateOf(event));
     say(time, clock(at, this.now));
     set(link, 'href', name && this.hrefOf(at, name));
     link.hidden = !name;

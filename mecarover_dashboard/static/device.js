@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // View 3: one device: every observed field, what was missed, a plot of any field that is a number.
 
-import {each, h, icon, say, set, setIcon} from './dom.js';
+import {each, h, icon, say, set, showState} from './dom.js';
 import {ErrorList, errorsOf} from './errors.js';
 import {Fields} from './fields.js';
 import {id3, numberOf, splitUnit} from './format.js';
@@ -39,7 +39,7 @@ export class DeviceView {
     this.before = h('a', {class: 'button', ariaLabel: 'Previous device'}, '\u2039');
     this.after = h('a', {class: 'button', ariaLabel: 'Next device'}, '\u203a');
     this.findings = h('ul', {class: 'findings'});
-    this.latency = h('button', {type: 'button', class: 'button',
+    this.latency = h('button', {class: 'button',
       onclick: () => this.#choose(LATENCY)}, LATENCY);
     this.plot = new Plot('Plot', 60, this.latency,
       this.fast = h('a', {class: 'button'}, 'Signals'),
@@ -120,8 +120,7 @@ export class DeviceView {
 
   #head(device) {
     const state = stateOf(device);
-    set(this.badge, 'data-state', state);
-    setIcon(this.badge.firstChild, state);
+    showState(this.badge, state);
     say(this.badge.lastChild, device ? wordOf(device) : 'not known');
     say(this.message, device ? sentence(device, this.store.now()) : '');
     set(this.message, 'data-state', state === 'ok' ? null : state);
@@ -198,9 +197,8 @@ const makeSibling = (device) =>
 function showSibling(item, device, here) {
   const link = item.firstChild;
   const state = stateOf(device);
-  set(link, 'data-state', state);
+  showState(link, state);
   set(link, 'aria-current', device.name === here ? 'page' : null);
-  setIcon(link.children[0], state);
   say(link.children[1], id3(device.id));
   say(link.children[2], device.joint || device.model);
   set(link, 'title', wordOf(device));

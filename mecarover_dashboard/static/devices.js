@@ -4,15 +4,15 @@
 // search and a choice by state.
 
 import {DeviceTable, ORDERS} from './table.js';
-import {each, h, icon, say, set, setIcon} from './dom.js';
+import {each, h, icon, say, set, showState} from './dom.js';
 import {id3, plural} from './format.js';
-import {fillEmpty, showCrumbs} from './parts.js';
+import {choice, fillEmpty, showChosen, showCrumbs} from './parts.js';
 import {Pause} from './pause.js';
 import {keepFilters, path} from './place.js';
 import {answersOf} from './servos.js';
 import {isQuiet, LEVELS, stateOf, wordOf, WORDS} from './store.js';
 
-const FORMS = {table: 'Table', cards: 'Cards'};
+const FORMS = [['table', 'Table'], ['cards', 'Cards']];
 
 export class Devices {
   wantsValues = true;
@@ -21,20 +21,20 @@ export class Devices {
     this.bus = bus;
     this.model = model;
     this.title = model ?? 'Devices';
-    this.only = LEVELS.includes(filters.get('only')) ? filters.get('only') : null;
+    this.only = LEVELS.includes(filters.get('only')) ? filters.get('only') : '';
     this.form = filters.get('as') === 'cards' ? 'cards' : 'table';
-    this.table = new DeviceTable((order, isUp) => this.#sort(order, isUp));
+    this.table = new DeviceTable(() => this.#change());
     const [order, direction] = (filters.get('by') ?? '').split('.');
     if (Object.hasOwn(ORDERS, order)) this.table.sort(order, direction === 'up');
     this.heading = h('h1', {tabindex: -1}, this.title);
     this.crumbs = h('nav', {class: 'crumbs', ariaLabel: 'Place'});
     this.search = h('input', {type: 'search', placeholder: 'ID, joint, model',
-      ariaLabel: 'Search devices', oninput: () => this.#changed()});
+      ariaLabel: 'Search devices', oninput: () => this.#change()});
     this.search.value = filters.get('find') ?? '';
-    this.chips = h('div', {class: 'choice', role: 'group', ariaLabel: 'Show only'},
-      ...[null, ...LEVELS].map((state) => this.#chip(state)));
-    this.forms = h('div', {class: 'choice', role: 'group', ariaLabel: 'Show as'},
-      ...Object.keys(FORMS).map((form) => this.#form(form)));
+    this.chips = choice('Show only', [['', h('span', {}, 'All'), h('b')], ...LEVELS.map(
+      (state) => [state, icon(state), h('span', {}, WORDS[state]), h('b')])],
+    (only) => this.#change({only}));
+    this.forms = choice('Show as', FORMS, (form) => this.#change({form}));
     this.pause = new Pause('Devices', () => this.update(this.store, true));
     this.empty = h('div', {class: 'empty'});
     this.none = h('p', {class: 'empty'}, 'No device matches.');
@@ -45,29 +45,9 @@ export class Devices {
       this.none, this.table.element, this.lists);
   }
 
-  #chip(state) {
-    const count = h('b');
-    const button = h('button', {type: 'button', onclick: () => {
-      this.only = state;
-      this.#changed();
-    }}, state ? icon(state) : null, h('span', {}, state ? WORDS[state] : 'All'), count);
-    Object.assign(button, {state, count});
-    return button;
-  }
-
-  #form(form) {
-    return h('button', {type: 'button', 'data-form': form, onclick: () => {
-      this.form = form;
-      this.#changed();
-    }}, FORMS[form]);
-  }
-
-  #sort(order, isUp) {
-    this.table.sort(order, isUp);
-    this.#changed();
-  }
-
-  #changed() {
+  /** Show others, as somebody chose: {only} or {form}; or by what the table or the search has. */
+  #change(chosen) {
+    Object.assign(this, chosen);
     keepFilters({find: this.search.value, only: this.only,
       as: this.form === 'cards' ? 'cards' : '', by: this.table.order});
     this.update(this.store, true);
@@ -98,9 +78,7 @@ export class Devices {
 
   #list(shown, store) {
     const isTable = this.form === 'table';
-    for (const button of this.forms.children) {
-      set(button, 'aria-pressed', button.dataset.form === this.form);
-    }
+    showChosen(this.forms, this.form);
     this.table.element.hidden = !isTable || !shown.length;
     if (isTable) this.table.update(shown, store);
     each(this.lists, isTable ? [] : shown, (group) => group.key, makeGroup,
@@ -108,12 +86,12 @@ export class Devices {
   }
 
   #chips(devices) {
+    showChosen(this.chips, this.only);
     for (const chip of this.chips.children) {
-      const {state} = chip;
+      const state = chip.dataset.value;
       const some = state ? devices.filter((device) => stateOf(device) === state) : devices;
-      say(chip.count, String(some.length));
-      set(chip, 'aria-pressed', state === this.only);
-      set(chip, 'data-state', some.length ? state : null);
+      say(chip.lastChild, String(some.length));
+      set(chip, 'data-state', some.length && state ? state : null);
     }
   }
 
@@ -150,10 +128,9 @@ function makeDevice(device) {
 }
 
 function updateDevice(item, device) {
-  const [symbol, id, joint, text, figures] = item.firstChild.children;
+  const [, id, joint, text, figures] = item.firstChild.children;
   const state = stateOf(device);
-  set(item.firstChild, 'data-state', state);
-  setIcon(symbol, state);
+  showState(item.firstChild, state);
   say(id, id3(device.id));
   say(joint, device.joint || device.model);
   const isOld = isQuiet(device);

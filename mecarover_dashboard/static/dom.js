@@ -5,6 +5,7 @@
 /** Make an element: h('a', {href, class, onclick, ariaLabel}, child or text, ...). */
 export function h(tag, attributes = {}, ...children) {
   const element = document.createElement(tag);
+  if (tag === 'button') element.type = tag;      // else it would send a form
   for (const [name, value] of Object.entries(attributes)) {
     if (name.startsWith('on')) element.addEventListener(name.slice(2), value);
     else set(element, name.replace(/^aria[A-Z]/, (it) => `aria-${it[4].toLowerCase()}`), value);
@@ -13,9 +14,9 @@ export function h(tag, attributes = {}, ...children) {
   return element;
 }
 
-/** Set an attribute if that changes anything; false and null remove it. */
+/** Set an attribute if that changes anything; null removes it, and false where that says the same. */
 export function set(element, name, value) {
-  if (value === false || value == null) {
+  if (value == null || (value === false && name !== 'aria-pressed')) {
     if (element.hasAttribute(name)) element.removeAttribute(name);
   } else if (element.getAttribute(name) !== String(value)) {
     element.setAttribute(name, value);
@@ -44,9 +45,10 @@ export function icon(name) {
   return svg('svg', {class: 'icon', 'aria-hidden': 'true'}, svg('use', {href: `#i-${name}`}));
 }
 
-/** Change the icon made by icon(). */
-export function setIcon(element, name) {
-  set(element.firstElementChild, 'href', `#i-${name}`);
+/** Show a state: its colour, and its icon, made by icon(): the first child, or another one. */
+export function showState(element, state, symbol = element.firstChild) {
+  set(element, 'data-state', state);
+  set(symbol.firstChild, 'href', `#i-${state}`);
 }
 
 /**

@@ -123,7 +123,7 @@ function rangeOf(shown, {low: wanted, limits = []}) {
 }
 
 /** Round ticks that cover a range: {low, high, step}. */
-export function ticksOf(low, high, count) {
+function ticksOf(low, high, count) {
   const raw = (high - low) / count;
   const size = 10 ** Math.floor(Math.log10(raw));
   const step = size * STEPS.find((one) => one * size >= raw * 0.999);

@@ -19,7 +19,7 @@ export class Fields {
     this.onlyMoving = false;
     this.search = h('input', {type: 'search', placeholder: 'Search fields',
       ariaLabel: 'Search fields', oninput: () => this.#again()});
-    this.moving = h('button', {type: 'button', ariaPressed: false, onclick: () => {
+    this.moving = h('button', {ariaPressed: false, onclick: () => {
       this.onlyMoving = !this.onlyMoving;
       this.#again();
     }}, 'Changing only');
@@ -73,7 +73,7 @@ export class Fields {
 
   #make(key) {
     const [name, unit] = splitUnit(key);
-    const button = h('button', {type: 'button', class: 'field', onclick: () => this.choose(key)},
+    const button = h('button', {class: 'field', onclick: () => this.choose(key)},
       h('i', {class: 'swatch'}), h('span', {}, name));
     return h('tr', {}, h('th', {scope: 'row'}, button),
       h('td', {class: 'value'}, h('span'), h('small')), h('td', {class: 'unit'}, shownIn(unit)[0]),

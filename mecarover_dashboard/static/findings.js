@@ -2,13 +2,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // What the doctor found about buses and their devices: a list that can be stopped.
 
-import {each, h, icon, say, set, setIcon} from './dom.js';
+import {each, h, icon, say, set, showState} from './dom.js';
 import {clock} from './format.js';
 import {makeRemedy, showRemedy, spelt} from './finding.js';
+import {panel} from './parts.js';
 import {path} from './place.js';
-import {deviceName, isQuiet} from './store.js';
-
-const RANK = {error: 0, warn: 1};
+import {deviceName, isQuiet, worstFirst} from './store.js';
 
 export class FindingList {
   /** A heading (text or an element) above the list, more elements below it; the view's Pause. */
@@ -16,8 +15,7 @@ export class FindingList {
     this.pause = pause;
     this.none = h('p', {class: 'quiet'}, 'Nothing found.');
     this.list = h('ul', {class: 'findings'});
-    this.element = h('section', {class: 'panel'},
-      h('h2', {}, heading), this.none, this.list, ...below);
+    this.element = panel(heading, this.none, this.list, ...below);
   }
 
   /**
@@ -30,7 +28,7 @@ export class FindingList {
       ...devices.flatMap((device) => device.findings
         .map((finding) => ({finding, row: device, part, device})))])
       .filter(({finding, device}) => !isSaid(finding[1], device))
-      .sort((a, b) => RANK[a.finding[2]] - RANK[b.finding[2]]);
+      .sort((a, b) => worstFirst(a.finding[2], b.finding[2]));
     if (!this.pause.isOn) this.#show(merged(found), store);
     return this.list.childElementCount;
   }
@@ -62,9 +60,8 @@ export const makeFinding = (name, devices = []) => h('li', {}, icon(name), h('b'
 
 /** Fill an item made by makeFinding; `old` says when it was true, '' while it is. */
 export function showFinding(item, [rule, message, severity], old = '') {
-  set(item, 'data-state', severity);
+  showState(item, severity);
   set(item, 'data-old', old !== '');
-  setIcon(item.children[0], severity);
   say(item.children[1], spelt(rule));
   say(item.children[2], old ? `${message} (${old})` : message);
   showRemedy(item.lastChild.firstChild, rule);

@@ -2,15 +2,14 @@
 // SPDX-License-Identifier: Apache-2.0
 // What the devices and buses of a robot were at a time of the history: a card each, the worst first.
 
-import {each, h, icon, say, set, setIcon} from './dom.js';
+import {each, h, icon, say, set, showState} from './dom.js';
 import {clock} from './format.js';
 import {written} from './plot.js';
-import {LEVELS, WORDS} from './store.js';
+import {LEVELS, WORDS, worstFirst} from './store.js';
 import {shownIn} from './units.js';
 
 const UNITS = {temperature: '\u00b0C', voltage: 'V', loss: '%', latency: 'ms',
   bus_load: '%', packet_rate: '1/s', error_rate: '1/s'};
-const RANK = {error: 0, stale: 1, warn: 2, ok: 3};
 const MOST = 40;
 
 /** The unit of a value of a source, as it is recorded. */
@@ -30,7 +29,7 @@ export class HistoryCards {
   /** sources: of /history/values, up to `at` (Unix s); textOf(name): what is known of a state. */
   show(sources, at, textOf) {
     const cards = Object.entries(sources).map(([name, source]) => cardOf(name, source))
-      .sort((a, b) => RANK[a.state] - RANK[b.state] || (a.name < b.name ? -1 : 1));
+      .sort((a, b) => worstFirst(a.state, b.state) || (a.name < b.name ? -1 : 1));
     say(this.heading, `At ${clock(at)}`);
     each(this.list, cards.slice(0, MOST), ({name}) => name, makeCard, (item, card) => {
       set(item.firstChild, 'href', this.hrefOf(at, card.name));
@@ -61,8 +60,7 @@ const makeCard = ({name}) => h('li', {}, h('a', {class: 'servo'},
 function showCard(item, {state, values}, words) {
   const [head, text, lines] = item.firstChild.children;
   set(item.firstChild, 'data-state', state);
-  set(head, 'data-state', state);
-  setIcon(head.firstChild, state);
+  showState(head, state);
   say(text, words);
   text.hidden = !words;
   each(lines, values, ({name}) => name,

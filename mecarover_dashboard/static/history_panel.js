@@ -6,9 +6,11 @@ import {EventList, GAP} from './causes.js';
 import {each, h, say, set} from './dom.js';
 import {clock, offset, plural, zone} from './format.js';
 import {HistoryCards, unitOf} from './history_cards.js';
+import {choice, showChosen} from './parts.js';
 import {Pause} from './pause.js';
 import {path} from './place.js';
 import {Plot} from './plot.js';
+import {Plots} from './plots.js';
 import {LEVELS} from './store.js';
 
 const SPANS = ['10 min', '1 h', '8 h', '24 h'];
@@ -24,7 +26,6 @@ const isRelative = (text) => /^([-\u2212].*|now)?$/.test(text);
 const isUnix = (text) => /^[\d.]+$/.test(text);
 
 export class HistoryPanel {
-  #plots = new Map();
   #asked = -Infinity;          // when, s of the page
   #answer = 0;                 // number of the question that is not answered yet
   #range = null;               // [from, to] of what is shown, Unix s
@@ -39,19 +40,16 @@ export class HistoryPanel {
   constructor(of, {from = '-1 h', to = '', at = null, kind = ''} = {}, changed = () => {}) {
     Object.assign(this, {of, from, to, at, kind, changed});
     this.usual = isRelative(from) && isRelative(to) ? from : '-1 h';
-    this.spans = h('div', {class: 'choice', role: 'group', ariaLabel: 'Time shown'},
-      ...SPANS.map((span) => h('button', {type: 'button', 'data-span': span,
-        onclick: () => this.#choose(`-${span}`, '')}, span)));
+    this.spans = choice('Time shown', SPANS.map((span) => [`-${span}`, span]),
+      (from) => this.#choose(from, ''));
     this.begin = this.#time('from');
     this.end = this.#time('to', 'now');
     this.slider = h('input', {type: 'range', ariaLabel: 'Time looked at', disabled: '', value: 100,
       oninput: () => this.#scrub(Number(this.slider.value)), onchange: () => this.changed()});
     this.when = h('span', {class: 'player-time'});
-    this.live = h('button', {type: 'button', class: 'button',
+    this.live = h('button', {class: 'button',
       onclick: () => this.#choose(this.usual, '')}, 'Live');
-    this.kinds = h('div', {class: 'choice', role: 'group', ariaLabel: 'Events shown'},
-      ...Object.entries(KINDS).map(([one, text]) => h('button', {type: 'button', 'data-kind': one,
-        onclick: () => this.#only(one)}, text)));
+    this.kinds = choice('Events shown', Object.entries(KINDS), (kind) => this.#only(kind));
     this.pause = new Pause('Events, errors', () => this.update(this.store));
     this.saves = ['csv', 'json'].flatMap((format) => [...of ? ['values'] : [], 'events'].map(
       (what) => h('a', {class: 'button small', download: `${what}.${format}`, 'data-what': what,
@@ -60,14 +58,17 @@ export class HistoryPanel {
     this.zone = h('p', {class: 'quiet'}, `Times here: ${zone()}. Times in the files: UTC.`);
     this.levels = h('div', {class: 'levels', role: 'img', ariaLabel: 'State'});
     this.levels.hidden = true;
-    this.graphs = h('div', {class: 'graphs'});
+    this.plots = new Plots(([name]) => this.#makePlot(name), (cursor) => {
+      if (cursor === null) this.#point();
+    });
     this.events = new EventList(pathAround);
     this.cards = new HistoryCards((at, name) => `${path('history', name)}?${
       new URLSearchParams({from: this.from, to: this.to, at: String(at)})}`);
     this.body = h('div', {class: 'past'},
       h('div', {class: 'past-head'}, this.spans, h('label', {}, 'From ', this.begin),
         h('label', {}, 'To ', this.end)),
-      h('div', {class: 'player scrub'}, this.slider, this.when, this.live), this.levels, this.graphs,
+      h('div', {class: 'player scrub'}, this.slider, this.when, this.live), this.levels,
+      this.plots.element,
       h('div', {class: 'past-head'}, this.kinds, this.pause.element,
         ...this.saves), this.zone,
       h('div', {class: 'past-then'}, this.cards.element, this.events.element));
@@ -82,7 +83,7 @@ export class HistoryPanel {
     return input;
   }
 
-  close() { for (const plot of this.#plots.values()) plot.close(); }
+  close() { this.plots.close(); }
 
   get #isLive() { return this.at === null && isRelative(this.to); }
 
@@ -210,19 +211,14 @@ export class HistoryPanel {
 
   /** Put the cursor of the plots where it is while no pointer moves it. */
   #point() {
-    const cursor = this.at === null ? null : this.#range[1] - this.at;
-    for (const plot of this.#plots.values()) plot.point(cursor);
+    this.plots.point(this.at === null ? null : this.#range[1] - this.at);
   }
 
   /** What somebody chose, also while there is no answer. */
   #showChoice() {
     set(this.live, 'aria-pressed', this.#isLive);
-    for (const button of this.spans.children) {
-      set(button, 'aria-pressed', this.to === '' && this.from === `-${button.dataset.span}`);
-    }
-    for (const button of this.kinds.children) {
-      set(button, 'aria-pressed', button.dataset.kind === this.kind);
-    }
+    showChosen(this.spans, this.to ? null : this.from);
+    showChosen(this.kinds, this.kind);
     for (const [input, given] of [[this.begin, this.from], [this.end, this.to]]) {
       if (document.activeElement === input && !this.#isTyped) continue;
       input.value = isUnix(given) ? clock(Number(given), this.now) : given;
@@ -253,28 +249,17 @@ export class HistoryPanel {
     const gap = 2.5 * (answer?.step ?? 1);
     this.levels.hidden = !source;
     if (source) showLevels(this.levels, runsOf(source.levels, answer.step), range);
-    each(this.graphs, values, ([name]) => name, ([name]) => this.#graph(name),
-      (figureElement, [name, points]) => this.#plots.get(name).update(
-        [{name: name.replaceAll('_', ' '), unit: unitOf(name, source), points,
-          step: answer.step}], range[1], {unix: (s) => s, gap}));
-    for (const [name, plot] of this.#plots) {
+    this.plots.update(values, ([name]) => name, (plot, [name, points]) => {
+      plot.update([{name: name.replaceAll('_', ' '), unit: unitOf(name, source), points,
+        step: answer.step}], range[1], {unix: (s) => s, gap});
       plot.cover(range[1] - range[0]);
-      if (!values.some(([one]) => one === name)) {
-        plot.close();
-        this.#plots.delete(name);
-      }
-    }
+    });
   }
 
-  #graph(name) {
+  #makePlot(name) {
     const plot = new Plot(name, 3600);
     plot.onZoom = (zoom) => zoom && this.#choose(...widened(...zoom).map((s) => s.toFixed(0)));
-    plot.onCursor = (cursor) => {
-      if (cursor === null) this.#point();
-      else for (const other of this.#plots.values()) if (other !== plot) other.point(cursor);
-    };
-    this.#plots.set(name, plot);
-    return plot.element;
+    return plot;
   }
 
   #showEvents() {

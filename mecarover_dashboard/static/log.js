@@ -3,11 +3,11 @@
 // View 4: the figures of the thesis per bus, its load, a plot of any of them, findings, errors.
 
 import {makeFact} from './bridge.js';
-import {each, h, icon, say, set, setIcon} from './dom.js';
+import {each, h, icon, say, set, showState} from './dom.js';
 import {ErrorList, errorsOf} from './errors.js';
 import {FindingList, makeFinding, showFinding} from './findings.js';
 import {numberOf, short} from './format.js';
-import {fillEmpty, metricsHead, metricToPlot, seriesOf, showMetrics} from './parts.js';
+import {fillEmpty, metricsHead, metricToPlot, panel, seriesOf, showMetrics} from './parts.js';
 import {Pause} from './pause.js';
 import {path} from './place.js';
 import {Plot} from './plot.js';
@@ -17,8 +17,6 @@ const THESIS = ['time_per_buffer', 'time_between_buffers', 'bytes_per_buffer', '
   'byte_rate', 'packet_rate', 'error_rate'];
 const LOADED = 90;             // % of the wire's time: little is left for a reply that is late
 
-const panel = (title, ...content) =>
-  h('section', {class: 'panel'}, h('h2', {}, title), ...content);
 const table = (kind, caption, ...content) =>
   h('table', {class: kind}, h('caption', {class: 'unseen'}, caption), ...content);
 
@@ -73,8 +71,7 @@ export class LogView {
     each(this.choice, groups, (one) => one.key,
       (one) => h('a', {href: path('log', one.key)}, icon('ok'), h('span')), (link, one) => {
         say(link.lastChild, one.label);
-        set(link, 'data-state', one.state);
-        setIcon(link.firstChild, one.state);
+        showState(link, one.state);
         set(link, 'aria-current', one === group ? 'page' : null);
       });
     this.#timing(store, group);
@@ -109,8 +106,7 @@ export class LogView {
   #bus(store, group) {
     const {row} = group;
     const state = stateOf(row);
-    set(this.status, 'data-state', state);
-    setIcon(this.status.firstChild, state);
+    showState(this.status, state);
     const text = group.part.is_known ? row?.message ?? 'no status of the bus yet'
       : store.said(group.part);
     say(this.status.lastChild, text);

@@ -5,7 +5,7 @@
 import {BridgeView} from './bridge.js';
 import {DeviceView} from './device.js';
 import {Devices} from './devices.js';
-import {say, set, setIcon} from './dom.js';
+import {say, set, showState} from './dom.js';
 import {FindingView} from './finding.js';
 import {dateTime, figure, plural, zone} from './format.js';
 import {HistoryView} from './history.js';
@@ -142,9 +142,8 @@ function showHeadline(wrong, text) {
   headline.hidden = !wrong.length || !live || document.body.dataset.view === 'overview';
   if (headline.hidden) return;
   set(headline, 'href', path());
-  set(headline, 'data-state', wrong[0].state);
+  showState(headline, wrong[0].state);
   set(headline, 'data-known', String(wrong[0].is_known));
-  setIcon(headline.firstChild, wrong[0].state);
   say(headline.lastChild, text);
 }
 
@@ -216,10 +215,8 @@ function showConnection(isLive, seconds, why) {
 }
 
 function showLive(state, words) {
-  const [symbol, text] = at('live').children;
-  set(at('live'), 'data-state', state);
-  setIcon(symbol, state);
-  say(text, words);
+  showState(at('live'), state);
+  say(at('live').lastChild, words);
 }
 
 listenToKeys({step: (by) => view.step?.(by), up: () => view.up?.(),

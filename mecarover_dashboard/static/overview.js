@@ -4,14 +4,14 @@
 // with a problem, a tile per model.
 
 import {OverviewSidebar} from './overview_sidebar.js';
-import {each, h, icon, say, set, setIcon} from './dom.js';
+import {each, h, icon, say, set, showState} from './dom.js';
 import {makeRemedy, showRemedy} from './finding.js';
 import {id3, isolate, list, short} from './format.js';
 import {path} from './place.js';
 import {fillEmpty} from './parts.js';
 import {Pause} from './pause.js';
 import {showServos, sizeOf} from './servos.js';
-import {countOf, deviceName, isLost, isQuiet, stateOf, valueOf, WORDS, worst}
+import {byUrgency, countOf, deviceName, isLost, isQuiet, stateOf, valueOf, WORDS, worst, worstFirst}
   from './store.js';
 
 const MOST_ALERTS = 8;
@@ -60,10 +60,9 @@ const makeBar = (href) => h('a', {class: 'bar', href}, icon('ok'), h('span', {cl
 function showBridge(element, {state, is_known: isKnown}, text) {
   const bar = element.firstChild;
   set(element, 'data-state', state);
-  set(bar, 'data-state', state);
+  showState(bar, state);
   set(bar, 'data-known', String(isKnown));
   set(bar, 'data-bridge', true);
-  setIcon(bar.children[0], state);
   say(bar.children[1], text);
   say(bar.children[2], 'Bridge');
   say(bar.lastChild, WORDS[state]);
@@ -82,9 +81,8 @@ function updateBus(element, group, store, isPaused) {
   const total = group.devices.length;
   const {is_known: isKnown} = group.part;
   const count = countOf(group.devices, group.part);
-  set(bar, 'data-state', group.state);
+  showState(bar, group.state);
   set(bar, 'data-known', String(isKnown));
-  setIcon(bar.children[0], group.state);
   say(bar.children[1], group.text);
   say(bar.children[2], group.bus ? `bus ${group.bus}` : '');
   say(bar.children[3], `${count}/${total}`);
@@ -109,7 +107,7 @@ function rulesOf({row, devices, part, text}) {
   const shown = [...(row?.findings ?? []).filter((one) => text.includes(one[1])),
     ...devices.flatMap(({findings, message}) => findings.filter((one) => one[1] === message))];
   return !part.is_known ? [] : shown.filter((one) => one[2] !== 'ok')
-    .sort((a, b) => RANK[a[2]] - RANK[b[2]]).map(([rule]) => rule);
+    .sort((a, b) => worstFirst(a[2], b[2])).map(([rule]) => rule);
 }
 
 /** ['2 lost', '1 silent', '1 warning']: how many of some devices have which problem. */
@@ -123,9 +121,6 @@ function problemsOf(devices) {
   return Object.entries(found).filter(([word, number]) => number > 0 && word !== 'ok')
     .map(([word, number]) => `${number} ${word}`);
 }
-
-const RANK = {error: 0, stale: 1, warn: 2, ok: 3};
-const byUrgency = (a, b) => RANK[stateOf(a)] - RANK[stateOf(b)] || a.id - b.id;
 
 // The table of devices and the list of alerts reach the same places by key.
 const makeCell = (device) =>
@@ -181,9 +176,8 @@ const makeAlert = ({href}) => h('li', {},
 
 function updateAlert(item, alert) {
   set(item, 'data-shared', String(alert.isShared ?? true));
-  const [symbol, text] = item.firstChild.children;
-  set(item.firstChild, 'data-state', alert.state);
-  setIcon(symbol, alert.state);
+  const text = item.firstChild.lastChild;
+  showState(item.firstChild, alert.state);
   say(text.firstChild, alert.names);
   say(text.lastChild, alert.message);
 }
@@ -197,8 +191,7 @@ function makeTile(group, model) {
 function updateTile(tile, model) {
   const {devices, part} = model;
   const state = part.is_known ? model.state : 'stale';
-  set(tile, 'data-state', state);
-  setIcon(tile.children[1], state);
+  showState(tile, state, tile.children[1]);
   say(tile.children[2], countOf(devices, part));
   const problems = problemsOf(devices).join(' \u00b7 ');
   const isSick = part.is_known && problems !== '';

@@ -3,25 +3,24 @@
 // Around the buses of the overview: the bridge at a glance, what was found, load, latest errors.
 
 import {Command} from './command.js';
-import {h, icon, set, setIcon} from './dom.js';
+import {h, icon, set, showState} from './dom.js';
 import {ErrorList, errorsOf} from './errors.js';
 import {FindingList} from './findings.js';
+import {panel} from './parts.js';
 import {path} from './place.js';
 import {Plot} from './plot.js';
 
 const MOST_ERRORS = 6;
 
 const heading = (to, ...children) => h('a', {class: 'more', href: path(to)}, ...children);
-const panel = (kind, title, content) =>
-  h('section', {class: `panel ${kind}`}, h('h2', {}, title), content);
 
 export class OverviewSidebar {
   constructor(pause) {
     this.plot = new Plot('Bus load', 300);
     this.command = new Command();
-    this.symbol = icon('ok');
-    this.bridge = panel('', heading('bridge', this.symbol, 'Bridge'), this.command.element);
-    this.load = panel('low', heading('log', 'Bus load'), this.plot.element);
+    this.bridge = panel(heading('bridge', icon('ok'), 'Bridge'), this.command.element);
+    this.load = panel(heading('log', 'Bus load'), this.plot.element);
+    this.load.classList.add('low');
     this.findings = new FindingList(heading('log', 'Findings'), pause);
     this.errors = new ErrorList(heading('log', 'Last errors'), pause, {most: MOST_ERRORS});
     this.element = h('div', {class: 'aside'}, this.bridge, this.findings.element);
@@ -35,8 +34,7 @@ export class OverviewSidebar {
     const bridge = store.bridgePart();
     const state = bridge?.state ?? null;
     this.bridge.hidden = state === null;
-    set(this.bridge.firstChild.firstChild, 'data-state', state);
-    setIcon(this.symbol, state ?? 'stale');
+    showState(this.bridge.firstChild.firstChild, state ?? 'stale');
     this.command.update(store.bridgeParts(), state === 'ok' ? bridge.text : '');   // else: its bar
     const isMany = groups.length > 1;
     const series = groups.map((group) => ({name: isMany ? group.label : 'load', unit: '%',

@@ -30,6 +30,23 @@ export function fillEmpty(element, store, wanted = 'dxl/diagnostics') {
       h('pre', {}, `ros2 run mecarover_serial ${command}\nros2 bag play RECORDING`)]));
 }
 
+/** Buttons of which one is chosen, [[value, content, ...], ...]; choose(value) when one is pressed. */
+export const choice = (label, options, choose) =>
+  h('div', {class: 'choice', role: 'group', ariaLabel: label},
+    ...options.map(([value, ...content]) =>
+      h('button', {'data-value': value, onclick: () => choose(value)}, ...content)));
+
+/** Show which of the buttons made by choice() is chosen; null: none. */
+export function showChosen({children}, value) {
+  for (const button of children) {
+    set(button, 'aria-pressed', button.dataset.value === String(value));
+  }
+}
+
+/** A part of a view, below its heading (text or an element). */
+export const panel = (title, ...content) =>
+  h('section', {class: 'panel'}, h('h2', {}, title), ...content);
+
 /** Links to where this view belongs, the last one being here. */
 export function showCrumbs(element, links) {
   each(element, links, ([text, href]) => `${href}|${text}`,
@@ -48,7 +65,7 @@ export function showMetrics(body, rows, plotted, choose) {
 }
 
 function makeMetric(row, choose) {
-  const button = h('button', {type: 'button', class: 'field', onclick: () => choose(row.metric)},
+  const button = h('button', {class: 'field', onclick: () => choose(row.metric)},
     h('i', {class: 'swatch'}), h('span', {}, row.metric.replaceAll('_', ' ')));
   return h('tr', {}, h('th', {scope: 'row'}, button), ...COLUMNS.map(() => h('td')), h('td'),
     h('td', {class: 'unit'}));

@@ -10,7 +10,7 @@ export class Pause {
   /** show() is called when the lists may move again; what: the lists, for a screen reader. */
   constructor(what, show) {
     this.show = show;
-    this.element = h('button', {type: 'button', class: 'button small pause', ariaPressed: false,
+    this.element = h('button', {class: 'button small pause', ariaPressed: false,
       ariaDescription: what, onclick: () => this.#press()}, 'Pause');
   }
 

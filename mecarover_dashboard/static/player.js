@@ -14,7 +14,7 @@ export class Player {
 
   constructor(element) {
     this.element = element;
-    this.button = h('button', {type: 'button', class: 'button',
+    this.button = h('button', {class: 'button',
       onclick: () => move({on: this.#state.on ? '0' : '1'})}, 'Play');
     this.slider = h('input', {type: 'range', min: 0, step: 0.1, ariaLabel: 'Time in the recording',
       oninput: () => { this.#isHeld = true; this.#say(Number(this.slider.value)); },

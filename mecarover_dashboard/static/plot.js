@@ -6,6 +6,7 @@
 import {differenceOf, drawPlot, nearOf, readAt} from './draw.js';
 import {clock, isInRange, span as spanText} from './format.js';
 import {each, h, say, set} from './dom.js';
+import {choice, showChosen} from './parts.js';
 import {measured, shownIn, withUnit} from './units.js';
 
 const SPANS = [[10, '10 s'], [60, '1 min'], [300, '5 min']];
@@ -32,11 +33,9 @@ export class Plot {
     this.label = label;
     this.canvas = h('canvas', {tabindex: 0, role: 'img', ariaLabel: label});
     this.legend = h('ul', {class: 'legend'});
-    this.back = h('button', {type: 'button', class: 'button', onclick: () => this.#zoomTo(null)},
+    this.back = h('button', {class: 'button', onclick: () => this.#zoomTo(null)},
       'Live');
-    this.spans = h('div', {class: 'choice', role: 'group', ariaLabel: 'Time shown'},
-      ...SPANS.map(([s, text]) =>
-        h('button', {type: 'button', 'data-span': s, onclick: () => this.#show(s)}, text)));
+    this.spans = choice('Time shown', SPANS, (s) => this.#show(s));
     this.element = h('div', {class: 'plot'}, this.legend, this.canvas,
       h('div', {class: 'plot-foot'}, ...extra, this.back, this.spans));
     this.#listen();
@@ -114,9 +113,7 @@ export class Plot {
 
   #show(span) {
     this.span = span;
-    for (const button of this.spans.children) {
-      set(button, 'aria-pressed', Number(button.dataset.span) === span);
-    }
+    showChosen(this.spans, span);
     this.#zoomTo(null);
   }
 
@@ -235,7 +232,7 @@ export class Plot {
       : ` at \u2212${spanText(this.#zero - s)}${timeOfDay(s)}`;
     each(this.legend, rows, (row) => row.name,
       (row) => h('li', {}, h('i', {class: 'swatch'}), h('span'), h('b'), h('small'), row.remove
-        && h('button', {type: 'button', class: 'link', title: 'Remove',
+        && h('button', {class: 'link', title: 'Remove',
           ariaLabel: `Remove ${row.name}`, onclick: row.remove}, '\u00d7')), (item, row) => {
         set(item.firstChild, 'data-line', row.index % 4);
         say(item.children[1], row.name);

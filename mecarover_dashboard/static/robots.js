@@ -2,10 +2,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // View 0: all robots of the domain, a card each: its worst, the bridge, its buses.
 
-import {each, h, icon, say, set, setIcon} from './dom.js';
+import {each, h, icon, say, set, showState} from './dom.js';
 import {plural} from './format.js';
 import {pathOfRobot} from './place.js';
-import {countOf, robotName, WORDS, worst} from './store.js';
+import {countOf, robotName, WORDS, worst, worstFirst} from './store.js';
 
 export class Robots {
   constructor() {
@@ -16,13 +16,11 @@ export class Robots {
 
   update(store) {
     const robots = store.robots().map((name) => robotOf(store, name))
-      .sort((a, b) => RANK[a.state] - RANK[b.state] || (a.name < b.name ? -1 : 1));
+      .sort((a, b) => worstFirst(a.state, b.state) || (a.name < b.name ? -1 : 1));
     store.show(null);
     each(this.list, robots, ({name}) => name, makeCard, updateCard);
   }
 }
-
-const RANK = {error: 0, stale: 1, warn: 2, ok: 3};
 
 /** The text on the card of a robot: what its bridge and each of its buses say. */
 function robotOf(store, name) {
@@ -50,14 +48,12 @@ function updateCard(item, robot) {
   const [head, lines] = item.firstChild.children;
   set(item.firstChild, 'data-state', robot.state);
   set(item.firstChild, 'data-known', String(robot.isKnown));
-  set(head, 'data-state', robot.state);
-  setIcon(head.firstChild, robot.state);
+  showState(head, robot.state);
   const word = robot.isKnown ? WORDS[robot.state] : 'Not known';
   say(head.lastChild, `${word} \u00b7 ${plural(robot.total, 'device')}`);
   each(lines, robot.lines, ([key]) => key, () => h('li', {}, icon('ok'), h('span')),
     (line, [, state, text]) => {
-      set(line, 'data-state', state);
-      setIcon(line.firstChild, state);
+      showState(line, state);
       say(line.lastChild, text);
     });
 }

@@ -4,8 +4,8 @@
 // temperature, voltage; of a board its model and how it answers. A bar needs a scale: what the
 // device itself says, or else the usual one.
 
-import {each, h, icon, say, set, setIcon} from './dom.js';
-import {clock, figure, id3, numberOf, short} from './format.js';
+import {each, h, icon, say, set, showState} from './dom.js';
+import {clock, id3, numberOf, short} from './format.js';
 import {path} from './place.js';
 import {isQuiet, saysMore, stateOf, wordOf} from './store.js';
 import {positionText} from './units.js';
@@ -14,35 +14,33 @@ const FEW = 8;                 // as many as a small display has room for
 const SOME = 30;
 const COLD = 20;               // °C, where the bar of the temperature begins
 const HOT = 80;
-const NONE = [];
 
 /** How much room a bus needs: 'few', 'some', or 'many', which are cells without values. */
 export const sizeOf = (count) => count <= FEW ? 'few' : count <= SOME ? 'some' : 'many';
 
 /** A value on a scale: {name, text, from, to}, shares of the bar; no bar where there is no scale. */
 const MEASURES = {
-  position: ([, , , , position, unit, low, high]) => {
+  position: ({position, positionUnit: unit, positionLow: low, positionHigh: high}) => {
     const [first, last] = numberOf(low) < numberOf(high) ? [low, high]
       : unit === 'rad' && Math.abs(position) <= Math.PI ? [-Math.PI, Math.PI] : [NaN, NaN];
     const at = share(position, first, last);
     return {name: 'Position', text: positionText(position, unit), from: at - 0.02, to: at + 0.02};
   },
-  load: ([, , load, unit], most) => {
+  load: ({load, loadUnit: unit}, most) => {
     const at = share(load, -most, most);
     const text = unit === 'A' ? Number(load).toFixed(2).replace(/^-(0\.00)$/, '$1')
       : short(load, 2);
     return {name: unit === 'A' ? 'Current' : 'Load', text: `${text} ${unit}`,
       from: Math.min(at, 0.5), to: Math.max(at, 0.5)};
   },
-  temperature: ([temperature, , , , , , , , limit]) => ({name: 'Temperature',
+  temperature: ({temperature, temperatureHigh: limit}) => ({name: 'Temperature',
     text: `${short(temperature, 3)} \u00b0C`, from: 0,
     to: share(temperature, COLD, Number(limit) || HOT)}),
-  voltage: ([, voltage, , , , , , , , low, high]) => ({name: 'Voltage',
+  voltage: ({voltage, voltageLow: low, voltageHigh: high}) => ({name: 'Voltage',
     text: `${short(voltage, 3)} V`, from: 0,
     to: numberOf(low) < numberOf(high) ? share(voltage, low, high) : 0}),
 };
 const NAMES = Object.keys(MEASURES);
-const PLACES = {position: 4, load: 2, temperature: 0, voltage: 1};
 const share = (value, low, high) => Math.min(1, Math.max(0, (value - low) / (high - low)));
 
 /** Cards; `texts`: what cards show in place of the message of a device, '' for nothing. */
@@ -63,12 +61,11 @@ export const answersOf = ({loss, latency}) => [loss && loss !== '0' && `loss ${s
   latency && `${short(latency, 3)} ms`].filter(Boolean).join(' \u00b7 ');
 
 function showServo(item, device, store, instead) {
-  const values = store.values.get(device.name) ?? NONE;
+  const values = store.valuesOf(device);
   const [head, text, about, ...lines] = item.firstChild.children;
   const state = stateOf(device);
   set(item.firstChild, 'data-state', state);
-  set(head, 'data-state', state);
-  setIcon(head.children[0], state);
+  showState(head, state);
   say(head.children[1], id3(device.id));
   sayInParts(head.children[2], device.joint || device.model);
   const isSick = state !== 'ok';
@@ -77,14 +74,14 @@ function showServo(item, device, store, instead) {
     ? `${wordOf(device)} since ${clock(store.wall(device.quiet_since))}` : wordOf(device);
   if (isSick) say(text, instead ?? (saysMore(device) ? device.message : word));
   set(item, 'data-sick', isSick);
-  const isKnown = (name) => Number.isFinite(numberOf(values[PLACES[name]]));
+  const isKnown = (name) => Number.isFinite(numberOf(values[name]));
   about.hidden = isKnown('position') || !device.live;
   set(item, 'data-board', about.hidden ? null : '');
   if (!about.hidden) {
     say(about, [device.joint && device.model, answersOf(device)].filter(Boolean).join(' \u00b7 '));
   }
-  const most = item.most = values[3] === '%' ? 100
-    : Math.max(item.most ?? 1, Math.abs(numberOf(values[2])) || 0);
+  const most = item.most = values.loadUnit === '%' ? 100
+    : Math.max(item.most ?? 1, Math.abs(numberOf(values.load)) || 0);
   NAMES.forEach((name, at) => {
     lines[at].hidden = !isKnown(name);
     if (isKnown(name)) showMeasure(lines[at], MEASURES[name](values, most));

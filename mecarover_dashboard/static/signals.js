@@ -5,9 +5,10 @@
 
 import {each, h, say, set} from './dom.js';
 import {clock, figure, id3, numberOf, splitUnit} from './format.js';
-import {fillEmpty} from './parts.js';
+import {choice, fillEmpty, showChosen} from './parts.js';
 import {keepFilters, path} from './place.js';
 import {Plot} from './plot.js';
+import {Plots} from './plots.js';
 import {csvOf, Difference, MOST, Signal, Signals, SPAN_S} from './signal.js';
 import {measured, shownIn} from './units.js';
 
@@ -24,7 +25,6 @@ export const pathOfSignals = (device, keys) => `${path('signals')}?${new URLSear
 
 export class SignalsView {
   title = 'Signals';
-  #plots = new Map();
   #span = 20;
   #zoom = null;                // [from, to] in s; null: up to now
   #mark = null;                // s
@@ -52,25 +52,26 @@ export class SignalsView {
       this.key = undefined;
       this.update(this.store);
     }});
-    this.add = h('button', {type: 'button', class: 'button', onclick: () => this.#change()});
-    this.addAll = h('button', {type: 'button', class: 'button', onclick: () => this.#addAll(),
+    this.add = h('button', {class: 'button', onclick: () => this.#change()});
+    this.addAll = h('button', {class: 'button', onclick: () => this.#addAll(),
       title: `This register of each servo of this model, up to ${MOST} registers`}, 'Add for all');
     this.minus = h('select', {ariaLabel: 'Difference', onchange: () => this.#subtract()});
-    this.spans = h('div', {class: 'choice', role: 'group', ariaLabel: 'Time shown'},
-      ...SPANS.map(([span, text]) => h('button', {type: 'button', 'data-span': span,
-        onclick: () => this.#show(span)}, text)));
-    this.pause = h('button', {type: 'button', class: 'button', onclick: () => this.#pause()});
-    this.marks = h('button', {type: 'button', class: 'button', title: 'Count from the cursor',
+    this.spans = choice('Time shown', SPANS, (span) => this.#show(span));
+    this.pause = h('button', {class: 'button', onclick: () => this.#pause()});
+    this.marks = h('button', {class: 'button', title: 'Count from the cursor',
       onclick: () => this.#setMark(this.#mark === null ? this.#cursor : null)}, 'Mark');
-    this.csv = h('button', {type: 'button', class: 'button', onclick: () => this.#save()}, 'CSV');
+    this.csv = h('button', {class: 'button', onclick: () => this.#save()}, 'CSV');
     this.words = h('p', {class: 'quiet', role: 'status'});
     this.empty = h('div', {class: 'empty'});
-    this.graphs = h('div', {class: 'graphs'});
+    this.plots = new Plots((group) => this.#makePlot(group), (cursor) => {
+      if (cursor !== null) this.#cursor = this.range[1] - cursor;
+      if (this.#zoom) this.#remember();
+    });
     this.body = h('section', {class: 'panel signals'},
       h('div', {class: 'past-head'}, this.device, this.register, this.add, this.addAll,
         this.minus),
       h('div', {class: 'past-head'}, this.spans, this.pause, this.marks, this.csv), this.words,
-      this.graphs);
+      this.plots.element);
     this.element = h('div', {}, h('h1', {class: 'unseen', tabindex: -1}, 'Signals'), this.empty,
       this.body);
     this.#span = SPANS.find(([span]) => span === Number(filters.get('span')))?.[0] ?? this.#span;
@@ -87,14 +88,14 @@ export class SignalsView {
   close() {
     this.signals.close();
     clearTimeout(this.timer);
-    for (const plot of this.#plots.values()) plot.close();
+    this.plots.close();
   }
 
   #show(span) {
     this.#span = span;
     this.#zoom = null;
     if (!this.signals.isOpen) this.signals.open();
-    for (const plot of this.#plots.values()) plot.point(null);
+    this.plots.point(null);
     this.#keepPlace();
     this.#draw();
   }
@@ -120,10 +121,8 @@ export class SignalsView {
   }
 
   #placeCursors() {
-    for (const plot of this.#plots.values()) {
-      plot.mark(this.#mark);
-      if (this.#zoom && this.#cursor !== null) plot.point(this.#zoom[1] - this.#cursor);
-    }
+    this.plots.mark(this.#mark);
+    if (this.#zoom && this.#cursor !== null) this.plots.point(this.#zoom[1] - this.#cursor);
   }
 
   /** Write what is shown into the address, soon; times where it does not move. */
@@ -207,11 +206,11 @@ export class SignalsView {
       parts.every((one) => all.includes(one)));
     this.signals.fill();
     this.#keepPlace();
-    const count = this.#plots.size;
+    const count = this.plots.size;
     this.update(this.store);
-    if (this.#plots.size <= count) return;
+    if (this.plots.size <= count) return;
     this.#placeCursors();
-    this.graphs.lastChild.scrollIntoView({block: 'nearest'});
+    this.plots.element.lastChild.scrollIntoView({block: 'nearest'});
   }
 
   update(store) {
@@ -279,19 +278,15 @@ export class SignalsView {
       return;
     }
     for (const one of this.differences) one.update();
-    for (const button of this.spans.children) {
-      set(button, 'aria-pressed', !this.#zoom && Number(button.dataset.span) === this.#span);
-    }
+    showChosen(this.spans, this.#zoom ? null : this.#span);
     say(this.pause, isOpen ? 'Pause' : 'Paused');
     set(this.pause, 'aria-pressed', !isOpen);
     set(this.csv, 'disabled', !all.length);
     const [from, to] = this.range;
     set(this.marks, 'aria-pressed', this.#mark !== null);
     const groups = [...groupsOf(all), ...groupsOf(this.differences, 'difference ')];
-    each(this.graphs, groups, ({key}) => key, (one) => this.#makePlot(one), (element, one) => {
-      const {key, some} = one;
+    this.plots.update(groups, ({key}) => key, (plot, {some}, element) => {
       set(element, 'data-empty', some.every((one) => one.end === one.begin));
-      const plot = this.#plots.get(key);
       plot.cover(to - from, {isQuiet: true});
       plot.isZoomed = Boolean(this.#zoom);
       plot.update(some.map((signal) => {
@@ -305,11 +300,6 @@ export class SignalsView {
       }), to, {gap: Infinity, rest: 0, zero: now,
         timeOfDay: (s) => this.#timeOfDay(s)});
     });
-    for (const [key, plot] of this.#plots) {
-      if (groups.some((one) => one.key === key)) continue;
-      plot.close();
-      this.#plots.delete(key);
-    }
   }
 
   /** ' (14:02:07.250)'; a recording has times of its own. */
@@ -323,7 +313,7 @@ export class SignalsView {
     return this.#zoom ?? [this.signals.now - this.#span, this.signals.now];
   }
 
-  #makePlot({key, unit}) {
+  #makePlot({unit}) {
     const plot = new Plot(`Signals, ${shownIn(unit)[0]}`);
     plot.onZoom = (zoom) => {
       if (!zoom) {
@@ -335,14 +325,8 @@ export class SignalsView {
     };
     plot.bounds = () => [this.signals.now - SPAN_S, this.signals.now];
     plot.onMark = (s) => this.#setMark(s);
-    plot.onCursor = (cursor) => {
-      if (cursor !== null) this.#cursor = this.range[1] - cursor;
-      if (this.#zoom) this.#remember();
-      for (const other of this.#plots.values()) if (other !== plot) other.point(cursor);
-    };
     plot.mark(this.#mark);
-    this.#plots.set(key, plot);
-    return plot.element;
+    return plot;
   }
 
   #nameOfDevice(device) {

@@ -13,12 +13,20 @@ const AWAY = new Set(['disconnected', 'expected']);
 const SECTIONS = ['devices', 'buses', 'bridge', 'timing'];
 export const LEVELS = ['ok', 'warn', 'error', 'stale'];
 export const WORDS = {ok: 'OK', warn: 'Warning', error: 'Error', stale: 'Silent'};
+// What is sent of a device's health, in this order: texts, '' where it is not known.
+const VALUES = ['temperature', 'voltage', 'load', 'loadUnit', 'position', 'positionUnit',
+  'positionLow', 'positionHigh', 'temperatureHigh', 'voltageLow', 'voltageHigh'];
+const namedValues = (texts) =>
+  Object.fromEntries(VALUES.map((name, index) => [name, texts[index] ?? '']));
+const NOT_KNOWN_VALUES = namedValues([]);
 const SEVERITY = {ok: 0, warn: 1, stale: 2, error: 3};
 
-export const worst = (states) =>
-  states.reduce((a, b) => SEVERITY[b] > SEVERITY[a] ? b : a, 'ok');
+/** The order of two states: an error first, then what is silent. */
+export const worstFirst = (a, b) => SEVERITY[b] - SEVERITY[a];
+export const worst = (states) => states.reduce((a, b) => worstFirst(a, b) > 0 ? b : a, 'ok');
 export const isQuiet = (row) => row?.quiet_since !== undefined;
 export const stateOf = (row) => !row || isQuiet(row) ? 'stale' : LEVELS[row.level] ?? 'stale';
+export const byUrgency = (a, b) => worstFirst(stateOf(a), stateOf(b)) || a.id - b.id;
 export const isLost = (device) => stateOf(device) === 'error' && AWAY.has(device.state);
 export const deviceName = (device) =>
   device.joint ? `${id3(device.id)} ${isolate(device.joint)}` : id3(device.id);
@@ -44,7 +52,7 @@ export class Store {
   timing = new Map();
   all = [];                  // every bridge and bus, as the server says: robot_parts.py
   isLive = true;             // the server is heard
-  values = new Map();        // device: as in client.py, where asked for
+  #values = new Map();       // by name of the device, where asked for
   facts = null;
   topics = {};
   publishers = {};
@@ -59,6 +67,9 @@ export class Store {
 
   /** Unix time of a time on the server's clock. */
   wall(seconds) { return seconds == null ? null : this.#wall + seconds; }
+
+  /** The health of a device, by the names of VALUES. */
+  valuesOf(device) { return this.#values.get(device.name) ?? NOT_KNOWN_VALUES; }
 
   /** Whether ROS may still be looking for publishers. */
   get isNew() { return !this.facts || this.up < LOOK_S; }
@@ -82,7 +93,9 @@ export class Store {
       }
     }
     this.all = event.parts ?? this.all;
-    for (const [name, values] of Object.entries(event.values ?? {})) this.values.set(name, values);
+    for (const [name, texts] of Object.entries(event.values ?? {})) {
+      this.#values.set(name, namedValues(texts));
+    }
     if (event.table) this.#take(event.table);
     this.#sample(event.now);
   }

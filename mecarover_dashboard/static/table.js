@@ -2,15 +2,13 @@
 // SPDX-License-Identifier: Apache-2.0
 // Devices as a table of values: the worst first, or by any column.
 
-import {each, h, icon, say, set, setIcon} from './dom.js';
+import {each, h, icon, say, set, showState} from './dom.js';
 import {FIGURES} from './figures.js';
 import {id3, isolate, numberOf, short} from './format.js';
 import {path} from './place.js';
-import {isQuiet, stateOf, wordOf} from './store.js';
+import {byUrgency, isQuiet, stateOf, wordOf} from './store.js';
 import {positionText} from './units.js';
 
-const RANK = {error: 0, stale: 1, warn: 2, ok: 3};
-const worstFirst = (a, b) => RANK[stateOf(a)] - RANK[stateOf(b)] || a.id - b.id;
 const figureOf = (text) => {
   const value = numberOf(text ?? '');
   return Number.isFinite(value) ? value : null;
@@ -21,12 +19,13 @@ const COLUMNS = [
   ['state', 'State', (device) => wordOf(device), null],
   ['id', 'Device', null, (device) => device.id],
   ['model', 'Model', (device) => device.model, (device) => device.model],
-  ['position', 'Position', (device, [, , , , value, unit]) => positionText(value, unit),
-    (_, [, , , , value]) => figureOf(value)],
-  ['temperature', '\u00b0C', (device, [value]) => value, (_, [value]) => figureOf(value)],
-  ['voltage', 'V', (device, [, value]) => value, (_, [, value]) => figureOf(value)],
-  ['load', 'Load', (device, [, , value, unit]) => value && `${value} ${unit}`,
-    (_, [, , value]) => value ? Math.abs(figureOf(value)) : null],
+  ['position', 'Position', (_, {position, positionUnit}) => positionText(position, positionUnit),
+    (_, {position}) => figureOf(position)],
+  ['temperature', '\u00b0C', (_, {temperature}) => temperature,
+    (_, {temperature}) => figureOf(temperature)],
+  ['voltage', 'V', (_, {voltage}) => voltage, (_, {voltage}) => figureOf(voltage)],
+  ['load', 'Load', (_, {load, loadUnit}) => load && `${load} ${loadUnit}`,
+    (_, {load}) => load ? Math.abs(figureOf(load)) : null],
   ...FIGURES.map(({name, heading, digits}) => [`${name} figure`, heading,
     (device) => isQuiet(device) ? '' : short(device[name], digits),
     (device) => figureOf(device[name])]),
@@ -34,7 +33,6 @@ const COLUMNS = [
 const nameOf = (column) => column[0].split(' ')[0];
 export const ORDERS = Object.fromEntries(COLUMNS.map((one) => [nameOf(one), one[3]]));
 const CALM_S = 0.95;
-const NONE = ['', '', '', '', '', ''];
 const TITLES = {...Object.fromEntries(FIGURES.map(({name, title}) => [name, title])),
   temperature: 'Temperature (\u00b0C)', voltage: 'Voltage (V)',
   load: 'Load, or current, whichever the model has'};
@@ -45,13 +43,16 @@ export class DeviceTable {
   #drawn = -Infinity;          // when, s of the page
   #states = '';
 
-  /** choose(order, isUp) is called when a heading is pressed. */
-  constructor(choose) {
+  /** changed() is called when a heading was pressed. */
+  constructor(changed) {
     this.heads = COLUMNS.map((one) => {
       const [name, text] = [nameOf(one), one[1]];
       return h('th', {scope: 'col', class: one[0]},
-        h('button', {type: 'button', class: 'sort', title: TITLES[name] ?? null,
-          onclick: () => choose(name, name === this.#by && !this.#isUp)}, text));
+        h('button', {class: 'sort', title: TITLES[name] ?? null,
+          onclick: () => {
+            this.sort(name, name === this.#by && !this.#isUp);
+            changed();
+          }}, text));
     });
     this.rows = h('tbody');
     this.seen = new IntersectionObserver((rows) => rows.forEach(noteSeen), {rootMargin: '200px'});
@@ -79,7 +80,7 @@ export class DeviceTable {
   update(groups, store) {
     const devices = groups.flatMap((group) =>
       group.devices.map((device) => ({device, bus: groups.length > 1 ? group.label : '',
-        values: store.values.get(device.name) ?? NONE})));
+        values: store.valuesOf(device)})));
     if (!this.#isDue(devices)) return;
     each(this.rows, devices.sort((a, b) => this.#compare(a, b)), ({device}) => device.name,
       (one) => this.#make(one), updateIfSeen);
@@ -107,9 +108,9 @@ export class DeviceTable {
   #compare(a, b) {
     const turn = this.#isUp ? -1 : 1;
     const by = ORDERS[this.#by];
-    if (!by) return turn * worstFirst(a.device, b.device);
+    if (!by) return turn * byUrgency(a.device, b.device);
     const [x, y] = [by(a.device, a.values), by(b.device, b.values)];
-    if (x === y) return worstFirst(a.device, b.device);
+    if (x === y) return byUrgency(a.device, b.device);
     if (x === null || y === null) return x === null ? 1 : -1;       // what is unknown goes last
     const isFirst = this.#by === 'id' || this.#by === 'model' ? x < y : x > y;
     return turn * (isFirst ? -1 : 1);
@@ -141,8 +142,7 @@ function updateRow(row, {device, bus, values}) {
   COLUMNS.forEach(([name, , text], at) => {
     const cell = row.children[at];
     if (name === 'state') {
-      set(cell.firstChild, 'data-state', state);
-      setIcon(cell.firstChild.firstChild, state);
+      showState(cell.firstChild, state);
       say(cell.firstChild.lastChild, isQuiet(device) ? wordOf(device) : device.message);
     } else if (name === 'id') {
       say(cell.firstChild.firstChild, id3(device.id));
