@@ -30,6 +30,7 @@ NO_REPORT, PORT_CLOSED, NONE_ANSWERS = 'no report', 'port closed', 'no device an
 SILENT, FAULT, LOST, WARNING = 'silent', 'error', 'lost', 'warning'
 UNKNOWN = (NO_REPORT, PORT_CLOSED)
 _OF_ALL = (*UNKNOWN, NONE_ANSWERS)      # the problem of each of its devices
+CUT = 'broken_cable'                   # what is after it is lost with it
 _AWAY = ('disconnected', 'expected')
 _LEVEL_WORDS = {Level.ERROR: FAULT, Level.STALE: SILENT, Level.WARN: WARNING}
 _MOST_NAMED = 4                              # devices in a sentence
@@ -186,10 +187,10 @@ def _mark(found: list[_Problem], rules: Mapping[str, str] = {}) -> tuple[int, st
 
 def _trouble(row: Row) -> str:
     """Return what a device has, in a word or two."""
-    if is_lost(row):
-        return SILENT
     rules = [rule for rule, _, severity in row['findings'] if severity == FAULT] \
         or [rule for rule, *_ in row['findings']]
+    if is_lost(row) and CUT not in rules:
+        return SILENT
     return _spelt(rules[0]) if rules else _beginning(str(row['message']))
 
 
@@ -213,7 +214,7 @@ def _judged(of_all: Level, message: str, devices: list[Row],
     level = worst((worst_device, of_all))
     if level is Level.OK:
         return level, []
-    lost = [one for one in devices if is_lost(one)]
+    lost = _without_cut_off([one for one in devices if is_lost(one)])
     sick = [one for one in devices if level_of(one) is Level.ERROR and not is_lost(one)]
     found = []
     if of_all is Level.STALE:
@@ -233,6 +234,12 @@ def _judged(of_all: Level, message: str, devices: list[Row],
         some, word = [one for one in devices if level_of(one) is level], _LEVEL_WORDS[level]
         found = [_Problem(word, f'{word.capitalize()}: {_names(some)}' if some else message, some)]
     return level, found
+
+
+def _without_cut_off(lost: list[Row]) -> list[Row]:
+    """Leave out the devices after a broken cable, which the first of them names."""
+    is_cut = any(rule == CUT for one in lost for rule, *_ in one['findings'])
+    return [one for one in lost if one['findings']] if is_cut else lost
 
 
 def _well(devices: list[Row], message: str) -> str:

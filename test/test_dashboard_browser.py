@@ -36,6 +36,7 @@ from msg_defs.diagnostics import Metric
 from msg_defs.diagnostics import metric_status
 from msg_defs.diagnostics import Status
 from msg_defs.signal import PointRing
+from servobus.bus.report import Finding
 from servobus.doctor.rules import BY_NAME
 
 WHY_NOT = dashboard_page.why_not()
@@ -145,6 +146,14 @@ def test_what_follows_from_a_silent_servo_is_one_line(page, robot):
     assert lost.split() == ['007', 'left_knee', 'disconnected:', '7', 'answers', 'missed']
     assert page.locator('.servo').count() == 24 - 3
     assert page.locator('.alert:visible').count() == 1
+
+
+def test_what_is_after_a_broken_cable_is_one_line(page, robot):
+    robot.lost = {7, 8, 9}
+    robot.findings = (Finding('broken_cable', Level.ERROR, 7, 'the cable is unplugged'),)
+    see(page, '.alert:visible', '008, 009.*silent too, after the broken cable: see 007')
+    see(page, BAR, '^007 broken cable')
+    assert page.locator('.servo[data-state=error]').count() == 1
 
 
 def test_without_reports_no_card_says_what_was(open_page):

@@ -17,6 +17,7 @@ from mecarover_dashboard.state import TABLES
 from msg_defs import status_keys as keys
 from msg_defs.diagnostics import Level
 from msg_defs.diagnostics import Status
+from servobus.bus.report import Finding
 
 KNEE = 'dxl_monitor: 007 left_knee'
 
@@ -129,6 +130,15 @@ def test_a_lost_device_does_not_hide_another_with_an_error(robot):
     assert part.headline == f'3 problems: {part.mark}'
     assert part.text == ('Lost: 007 left_knee, disconnected: 7 answers missed; '
                          'Error: 008 right_knee, 009 left_ankle_pitch')
+
+
+def test_what_is_after_a_broken_cable_is_no_problem_of_its_own(robot):
+    robot.lost = {7, 8, 9}
+    part = told(robot).parts()[0]
+    assert (part.number, part.mark) == (3, '007, 008, 009 silent')
+    robot.findings = (Finding('broken_cable', Level.ERROR, 7, 'the cable is unplugged'),)
+    part = told(robot).parts()[0]
+    assert (part.number, part.mark, part.ids) == (1, '007 broken cable', (7,))
 
 
 @pytest.mark.parametrize(('level', 'message', 'problems'), [

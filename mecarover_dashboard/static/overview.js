@@ -14,6 +14,7 @@ import {showServos, sizeOf} from './servos.js';
 import {byUrgency, countOf, deviceName, isLost, isQuiet, stateOf, valueOf, WORDS, worst, worstFirst}
   from './store.js';
 
+const CUT = 'broken_cable';      // what is after it is lost with it
 const MOST_ALERTS = 8;
 
 export class Overview {
@@ -135,10 +136,13 @@ function updateCell(cell, device) {
 /** Devices with a problem: [{key, state, names, message, href}]; equal messages share one. */
 function alertsOf(group) {
   const found = new Map();
+  const cut = group.devices.find(({findings}) => findings.some(([rule]) => rule === CUT));
   for (const device of group.devices.filter((one) => stateOf(one) !== 'ok').sort(byUrgency)) {
-    const message = isQuiet(device) ? 'no report' : device.message;
+    const isCut = Boolean(cut) && isLost(device) && !device.findings.length;
+    const message = isQuiet(device) ? 'no report'
+      : isCut ? `silent too, after the broken cable: see ${id3(cut.id)}` : device.message;
     const key = `${stateOf(device)} ${message}`;
-    if (!found.has(key)) found.set(key, {state: stateOf(device), message, devices: []});
+    if (!found.has(key)) found.set(key, {state: stateOf(device), message, isCut, devices: []});
     found.get(key).devices.push(device);
   }
   const all = [...found.values()];
@@ -150,11 +154,11 @@ function alertsOf(group) {
       names: `${count} more`, href: path('devices', group.key)}];
 }
 
-function alertOf(group, {state, message, devices}) {
+function alertOf(group, {state, message, isCut, devices}) {
   const [first] = devices;
   const isMany = devices.length > 1;
   return {state, message: isolate(message), key: `${first.name} ${isMany}`, devices,
-    isShared: isMany && (state !== 'error' || !group.part.live),
+    isShared: isCut || (isMany && (state !== 'error' || !group.part.live)),
     names: list(devices.map(isMany ? ({id}) => id3(id) : deviceName)),
     href: isMany ? path('devices', group.key) : path('device', first.name)};
 }
