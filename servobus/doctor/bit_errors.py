@@ -44,7 +44,7 @@ RARER_WAY_MIN_SHARE = 1 / 4        # share of packets, for wrong bits that go bo
 PULSE_MAX_BITS = 15                # nearer wrong bits are of one pulse
 OVERLAID_MIN_SHARE = 0.4           # share of a question's ones: in other bytes fewer fit by chance
 NOISE_MAX_BITS = 2                 # wrong: more is another packet, not noise
-GROUP_READS = (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ)
+SYNC_READS = (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ)
 _Question = tuple[int, tuple[int, ...], int | None, int]     # instruction, IDs, address, length
 LINE_BITS = 10                     # a byte on the line, start and stop bit with it
 
@@ -325,6 +325,6 @@ def packet_of(instruction: int, ids: tuple[int, ...], address: int | None, lengt
     at = address.to_bytes(2, 'little') + length.to_bytes(2, 'little')
     if instruction == Instruction.READ:
         return encode(ids[0], instruction, at)
-    if instruction in GROUP_READS:
+    if instruction in SYNC_READS:
         return encode(BROADCAST, instruction, at + bytes(ids))
     return b''

@@ -36,9 +36,9 @@ from servobus.bus.report import PROTOCOL_2
 from servobus.bus.report import Wait
 from servobus.bus.table import Observed
 from servobus.doctor.bit_errors import count_overlaid
-from servobus.doctor.bit_errors import GROUP_READS
 from servobus.doctor.bit_errors import NOISE_MAX_BITS
 from servobus.doctor.bit_errors import packet_of
+from servobus.doctor.bit_errors import SYNC_READS
 from servobus.doctor.bit_errors import TWO_SENDERS
 from servobus.doctor.bit_errors import wrong_bits
 from servobus.doctor.case import Case
@@ -303,7 +303,7 @@ def _front_of(cycle: Cycle) -> ev.PacketHeader | None:
         return ev.PacketHeader(code, 7)
     if code in SINGLE_WRITES:
         return ev.PacketHeader(code, 5 + cycle.length)
-    if code in GROUP_READS:
+    if code in SYNC_READS:
         return ev.PacketHeader(code, 7 + many)
     if code == Instruction.SYNC_WRITE:
         return ev.PacketHeader(code, 7 + many * (1 + cycle.length))
