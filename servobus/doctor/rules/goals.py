@@ -284,7 +284,7 @@ def torque_off(case: Case, device: DeviceReport) -> Found | None:
     """
     Goals change, and the joint does not move.
 
-    On both sides of it, or twice, or nothing set the torque, or its limit is 0.
+    On both sides, or twice, or nothing set the torque, or its limit is 0.
 
     Do: switch the torque on, or free the joint.
     """

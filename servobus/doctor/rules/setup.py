@@ -33,6 +33,7 @@ from servobus.doctor.thresholds import WINDOW_NS
 from servobus.model.control_table import Model
 
 FACTORY_ID = 1
+_PROTOCOL_2 = '2'                  # as model files call it
 CLASH_MIN_SHARE = 0.5              # share of its answers: a bad cable spoils fewer
 SUPPLY_MAX_FACTOR = 1.25           # times the limit: made for another supply, not just near it
 SUPPLY_12_V_MIN = 12.0             # a limit from here on: the servo is made for 12 V
@@ -126,10 +127,10 @@ def _supply_claims(found: list[tuple[DeviceReport, float, float]], words: str,
                     rests_on=SUPPLY)
 
 
-@Rule(protocols=FAMILY_1, needs_model=True)
+@Rule(protocols=(*FAMILY_1, _PROTOCOL_2), needs_model=True)
 def layout(case: Case, device: DeviceReport) -> Found | None:
     """
-    Reads or writes that cut a register (1.0 family).
+    Reads or writes that cut a register; in 2.0, Sync Writes.
 
     Do: use the table of its model.
     """
@@ -144,6 +145,8 @@ def layout(case: Case, device: DeviceReport) -> Found | None:
         if cycle.address is None or device.id not in cycle.ids or cycle.asked < INCIDENTS_MIN \
                 or cycle.address in refused or cycle.stamps[-1] < case.now - WINDOW_NS:
             continue
+        if device.model.protocol == _PROTOCOL_2 and cycle.instruction != Instruction.SYNC_WRITE:
+            continue                           # it says by an error what it does not have
         first = device.model.by_address.get(cycle.address)
         is_low_byte = first is not None and first.at == cycle.address not in _OTHER_SERIES \
             and cycle.length == 1 and cycle.instruction == Instruction.WRITE
@@ -159,7 +162,8 @@ def _why_unfit(model: Model, begin: int, length: int) -> str:
     """Return why an access does not fit the registers of a model, '' where it does."""
     end = begin + length
     fields = [field for field in model.fields if field.at < TABLE_END]
-    elsewhere = f' ({_OTHER_SERIES[begin]})' if begin in _OTHER_SERIES else ''
+    is_of_other = begin in _OTHER_SERIES and not any(field.at == begin for field in fields)
+    elsewhere = f' ({_OTHER_SERIES[begin]})' if is_of_other else ''
     for field in fields:
         if any(field.at < edge < field.end for edge in (begin, end)):
             return f'which cuts {field.name} ({field.at}, {field.size} bytes){elsewhere}'
