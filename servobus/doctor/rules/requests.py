@@ -619,7 +619,7 @@ def sync_read_unsupported(case: Case) -> Claims:
     Do: read one after the other.
     """
     is_feetech = case.report.protocol == FEETECH.name
-    if case.count(ev.UNASKED) \
+    if case.count(ev.UNASKED) or case.count(ev.LATE) \
             or case.report.protocol not in (DYNAMIXEL_1.name, UNDECIDED.name, FEETECH.name) \
             or sum(device.totals.answers for device in case.devices) < INCIDENTS_MIN:
         return
