@@ -32,6 +32,11 @@ def goals(turn, error):
     return bytes(packet)
 
 
+def goal_of_a_shell(turn, error):
+    """Return a Write from a variable of a shell, which holds no bytes 00."""
+    return dxl1_packet.encode(3, 3, bytes((42, 1 + turn % 200, 8, 0, 0, 232, 3))).replace(b'\0', b'')
+
+
 def goal_2(turn, error):
     """Return a Write of Protocol 2.0, with an error in its Length or CRC."""
     packet = bytearray(dxl_packet.encode(1, 3, bytes((116, 0, turn % 200, 8, 0, 0))))
@@ -76,6 +81,8 @@ def found(write, error, has_sides, *, good_every=0, read_2=False, turns=100):
     (goals, 1, False, 'each Sync Write has the wrong Length, 23, right is 22'),
     (goals, 'sum', False, 'each Sync Write has the wrong checksum, 0x5A, right is 0xA5, the '
      'inverted sum'),
+    (goal_of_a_shell, '', True, 'each Write to 003 has the wrong Length, 9, right is 7, or 2 bytes '
+     '00 are missing'),
     (goal_2, 2, True, 'each Write to 001 has the wrong Length, 11, right is 9'),
     (goal_2, 'order', True, 'each Write to 001 has the wrong CRC, 0x53B5, right is 0xB553, low '
      'byte first'),

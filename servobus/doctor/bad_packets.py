@@ -95,8 +95,8 @@ def _bad_packet_1(packet: bytes) -> BadPacket | None:
         # The checksum is that of this Length or of the right one, else the packet was cut.
         is_whole = excess in (0, length - right & 0xFF)
         # Bytes 00 do not change the sum: a shell drops them from what it keeps in a variable.
-        zeros = f', or {length - right} bytes 00 are missing' if length > right and not excess \
-            and right > MIN_BYTES - _LENGTH_1_END else ''
+        may_lack = not excess and length > right + 1 and right > MIN_BYTES - _LENGTH_1_END
+        zeros = f', or {length - right} bytes 00 are missing' * may_lack
         return BadPacket(number, code, 'Length', f'{length}', f'{right}{zeros}',
                          length - right) if is_whole else None
     checksum = packet[-1] - excess & 0xFF

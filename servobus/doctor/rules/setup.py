@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import lru_cache
 
 from msg_defs.diagnostics import Level
 from msg_defs.dxl_instruction import Instruction
@@ -134,30 +135,37 @@ def layout(case: Case, device: DeviceReport) -> Found | None:
 
     Do: use the table of its model.
     """
-    order = case.values[device.id].get('Byte Order')
-    place = device.model.by_name.get('Present Position')
-    if order is not None and place is not None \
-            and (order.value.raw == 1) != (place.byte_order == 'big'):
-        return Claim(f'reports that its numbers are {order.value.text}, but those of '
-                     f'{device.model_name} are not: set its real model in {case.names.devices}')
-    refused = {one.detail.address for one in case.incidents(ev.REFUSED, device)}
+    is_2 = device.model.protocol == _PROTOCOL_2
+    if not is_2 and (otherwise := _order_otherwise(case, device)):
+        return otherwise
     for cycle in case.cycles:
-        if cycle.address is None or device.id not in cycle.ids or cycle.asked < INCIDENTS_MIN \
-                or cycle.address in refused or cycle.stamps[-1] < case.now - WINDOW_NS:
-            continue
-        if device.model.protocol == _PROTOCOL_2 and cycle.instruction != Instruction.SYNC_WRITE:
-            continue                           # it says by an error what it does not have
+        if (is_2 and cycle.instruction != Instruction.SYNC_WRITE) or device.id not in cycle.ids \
+                or cycle.address is None or cycle.asked < INCIDENTS_MIN \
+                or cycle.stamps[-1] < case.now - WINDOW_NS:
+            continue                           # what is not there, 2.0 refuses by an error
         first = device.model.by_address.get(cycle.address)
         is_low_byte = first is not None and first.at == cycle.address not in _OTHER_SERIES \
             and cycle.length == 1 and cycle.instruction == Instruction.WRITE
         unfit = _why_unfit(device.model, cycle.address, cycle.length)
-        if unfit and not is_low_byte:      # which is enough for a small number
+        if unfit and not is_low_byte and not any(      # a low byte is enough for a small number
+                one.detail.address == cycle.address for one in case.incidents(ev.REFUSED, device)):
             return Claim(f'{name_of(cycle.instruction)} of {cycle.length} at '
                          f'{cycle.address}, {unfit}: use the table of {device.model_name}',
                          {'address': cycle.address, 'times': cycle.asked})
     return None
 
 
+def _order_otherwise(case: Case, device: DeviceReport) -> Claim | None:
+    """Look for a servo that says by a register that its numbers have the other order of bytes."""
+    order = case.values[device.id].get('Byte Order')
+    place = device.model.by_name.get('Present Position')
+    if order is None or place is None or (order.value.raw == 1) == (place.byte_order == 'big'):
+        return None
+    return Claim(f'reports that its numbers are {order.value.text}, but those of '
+                 f'{device.model_name} are not: set its real model in {case.names.devices}')
+
+
+@lru_cache(maxsize=1024)          # a program repeats what it asks
 def _why_unfit(model: Model, begin: int, length: int) -> str:
     """Return why an access does not fit the registers of a model, '' where it does."""
     end = begin + length
