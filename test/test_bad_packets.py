@@ -34,7 +34,8 @@ def goals(turn, error):
 
 def goal_of_a_shell(turn, error):
     """Return a Write from a variable of a shell, which holds no bytes 00."""
-    return dxl1_packet.encode(3, 3, bytes((42, 1 + turn % 200, 8, 0, 0, 232, 3))).replace(b'\0', b'')
+    packet = dxl1_packet.encode(3, 3, bytes((42, 1 + turn % 200, 8, 0, 0, 232, 3)))
+    return packet.replace(b'\0', b'')
 
 
 def goal_2(turn, error):
@@ -81,8 +82,8 @@ def found(write, error, has_sides, *, good_every=0, read_2=False, turns=100):
     (goals, 1, False, 'each Sync Write has the wrong Length, 23, right is 22'),
     (goals, 'sum', False, 'each Sync Write has the wrong checksum, 0x5A, right is 0xA5, the '
      'inverted sum'),
-    (goal_of_a_shell, '', True, 'each Write to 003 has the wrong Length, 9, right is 7, or 2 bytes '
-     '00 are missing'),
+    (goal_of_a_shell, '', True, 'each Write to 003 has the wrong Length, 9, right is 7, or 2 '
+     'bytes 00 are missing'),
     (goal_2, 2, True, 'each Write to 001 has the wrong Length, 11, right is 9'),
     (goal_2, 'order', True, 'each Write to 001 has the wrong CRC, 0x53B5, right is 0xB553, low '
      'byte first'),
