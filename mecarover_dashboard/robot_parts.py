@@ -30,6 +30,7 @@ NO_REPORT, PORT_CLOSED, NONE_ANSWERS = 'no report', 'port closed', 'no device an
 SILENT, FAULT, LOST, WARNING = 'silent', 'error', 'lost', 'warning'
 UNKNOWN = (NO_REPORT, PORT_CLOSED)
 _OF_ALL = (*UNKNOWN, NONE_ANSWERS)      # the problem of each of its devices
+HARDWARE = 'hardware_error'
 CUT = 'broken_cable'                   # what is after it is lost with it
 _AWAY = ('disconnected', 'expected')
 _LEVEL_WORDS = {Level.ERROR: FAULT, Level.STALE: SILENT, Level.WARN: WARNING}
@@ -150,7 +151,8 @@ def _bus(node: str, bus: str, row: Row | None, devices: list[Row]) -> RobotPart:
     since = _since(row, devices)
     if since is not None:
         level, found = Level.STALE, [_Problem(
-            NO_REPORT, f'No report from {node}: nothing is known of its {_counted(devices)}')]
+            NO_REPORT, f'No report from {node}: nothing is known of its {_counted(devices)}; '
+                       'start it again')]
     elif row is not None and not row['live']:
         level, found = Level.ERROR, [_Problem(PORT_CLOSED, message)]
     else:
@@ -191,7 +193,9 @@ def _trouble(row: Row) -> str:
         or [rule for rule, *_ in row['findings']]
     if is_lost(row) and CUT not in rules:
         return SILENT
-    return _spelt(rules[0]) if rules else _beginning(str(row['message']))
+    if rules and HARDWARE not in rules:
+        return _spelt(rules[0])
+    return _beginning(str(row['message']))     # which error it is
 
 
 def _spelt(rule: str) -> str:

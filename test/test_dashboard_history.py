@@ -168,7 +168,8 @@ def test_events():
     assert ('state', 0, '007 left_knee', 'connected') in found
     assert ('over', 0, 'bus', 'missing termination') in found
     assert {(level, text) for _, level, _, text in watched.events(200.0)} == {
-        (Level.STALE, 'No report from dxl_monitor: nothing is known of its 24 devices'),
+        (Level.STALE, 'No report from dxl_monitor: nothing is known of its 24 '
+         'devices; start it again'),
         (Level.ERROR, 'No report from vel2d_bridge, and the rover was driving: it may be driving '
                       'on; look at it, switch its motors off, restart the bridge')}
     assert {one[2:] for one in watched.events(201.0, robot)} == {
@@ -200,7 +201,8 @@ def test_a_restart_of_the_monitor_is_two_events_whatever_it_finds():
     assert written((100.0, robot), (106.0, None), (110.0, robot), (111.0, gone),
                    (112.0, robot)) == [
         ('state', 2, '007 left_knee', 'disconnected: 7 answers missed'),
-        ('state', 3, 'bus', 'No report from dxl_monitor: nothing is known of its 24 devices'),
+        ('state', 3, 'bus', 'No report from dxl_monitor: nothing is known of its 24 '
+         'devices; start it again'),
         ('state', 2, 'bus', '23 of 24 devices answer'),
         ('state', 2, 'bus', '/dev/ttyUSB0: gone'),
         ('state', 2, 'bus', '23 of 24 devices answer')]

@@ -91,8 +91,8 @@ def test_what_is_no_longer_reported_is_silent_and_then_gone():
     state = told(robot)
     lines = status_lines(state, 105.0)
     assert [(line.what, line.message) for line in lines if line.what == 'bus'] == [
-        ('bus', 'No report from dxl_monitor: nothing is known of its 1 device; last report 5 s '
-                'ago')]
+        ('bus', 'No report from dxl_monitor: nothing is known of its 1 device; start it again; '
+                'last report 5 s ago')]
     assert exit_code(state) == 4       # the rover was driving when its bridge was last heard
     # Its bus is reported, it is not.
     state.store_message(OVERVIEW, serialise(robot.overview(170.0)[:1]), 170.0)
