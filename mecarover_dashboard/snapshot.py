@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from mecarover_dashboard import rows
+from mecarover_dashboard.robot_parts import device_name
 from mecarover_dashboard.robot_parts import level_of
 from mecarover_dashboard.robot_parts import RobotPart
 from mecarover_dashboard.state import RowReport
@@ -58,7 +59,7 @@ def _reports(state: State, section: str, part: RobotPart) -> list[RowReport]:
 def _device(state: State, report: RowReport) -> Data:
     row, values = report.row, report.values
     return {
-        'id': row['id'], 'name': f'{row["id"]:03} {row["joint"]}'.strip(), 'model': row['model'],
+        'id': row['id'], 'name': device_name(row), 'model': row['model'],
         'firmware': _number(row['firmware']), 'state': row['state'],
         'level': level_of(row).name, 'message': row['message'], 'live': row['live'],
         'answers': _number(state.fact(report.row_name, keys.ANSWERS)),

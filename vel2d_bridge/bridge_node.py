@@ -28,7 +28,6 @@ from mecarover_serial.ros_node import warn_of_overrides
 from msg_defs.crc import CRC_INPUTS
 from msg_defs.crc import CRC_IS_FAST
 from msg_defs.crc import SLOW_CRC_WARNING
-from msg_defs.diagnostics import hardware_id
 from msg_defs.diagnostics import Level
 from msg_defs.diagnostics import Status
 from msg_defs.ros import DiagnosticArrays
@@ -315,8 +314,9 @@ class Bridge:
         for array in self._arrays.build(statuses, to_time(now_ros)):
             self._diagnostics.publish(array)
         if is_time:
+            mine = statuses[0].hardware_id
             self._timing_topics.publish([
-                one._replace(hardware_id=hardware_id(full_name(self.node), self._port))
+                one._replace(hardware_id=mine)
                 for one in self._timing.metrics(time.monotonic_ns())], now_ros)
             self._reported = now_s
         self._levels = levels
