@@ -17,6 +17,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import textwrap
 import threading
 import time
@@ -272,6 +273,21 @@ def test_every_byte_of_an_unchanged_master(script, peer):
         assert [one.value for one in told if one.kind == BAUD][-1] == 1_000_000
         turns = [one.kind for one in told if one.kind in (OUT, IN)]
         assert turns[:2] == [OUT, IN]
+
+
+def test_a_child_waits_for_no_lock_that_another_thread_had_at_the_fork(monkeypatch):
+    """The thread of the tap asked tempfile for its folder as the program forked."""
+    monkeypatch.delenv('XDG_RUNTIME_DIR', raising=False)
+    monkeypatch.setattr(tempfile, 'tempdir', None)
+    sender = Sender('robot')
+    sender._ports[1] = b'/dev/ttyUSB9', 1_000_000
+    with tempfile._once_lock:
+        child = threading.Thread(target=sender.after_fork, daemon=True)
+        child.start()
+        child.join(DEADLINE_S)
+        has_gone_on = not child.is_alive()
+    sender.end()
+    assert has_gone_on
 
 
 @pytest.mark.parametrize('limit', [1024, 64])      # a low one leaves no high number for us

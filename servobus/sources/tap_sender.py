@@ -189,6 +189,9 @@ class Sender:
         self._is_traced = False                # strace hears the ports of this process
         self._has_asked = False                # for strace
         self._readers: dict[str, _TapPeer] = {}
+        # tempfile locks the first time: in a thread, a child that is forked then waits for ever.
+        with suppress(OSError):
+            folder()
         self._forget()
         self._mark(LOADED)
 
