@@ -13,6 +13,7 @@ import time
 from types import SimpleNamespace
 from urllib.request import urlopen
 
+from harness import wait
 from synthetic_robot import NO_COMMANDS
 from synthetic_robot import serialise
 from synthetic_robot import SyntheticRobot
@@ -35,6 +36,7 @@ ARM = ('1-6:MX-64',)
 ALERTS = (Path(__file__).parents[1] / 'deploy/alerts.yml').read_text()
 GONE = '/dev/ttyUSB0: there is no such device; plug it in'
 _QUIET_S = 5.0
+_PERIOD_S = 0.5
 PLACES = ('', 'devices', 'device/dxl_monitor: 003', 'log', 'bridge', 'history', 'signals')
 _SENTENCE_MIN_WORDS = 4
 # Go to a place; return the texts that are seen there as (text, list whose lines are records).
@@ -190,6 +192,18 @@ class Stage:
     def go_on(self, robots):
         """Have those that are not silent report once more."""
         self._publish(robots, False)
+
+    def wait_for(self, robots, condition):
+        """Wait for it, while they go on to report: on a busy machine the page may need long."""
+        reported_s = time.monotonic()
+
+        def is_met():
+            nonlocal reported_s
+            if time.monotonic() - reported_s > _PERIOD_S:
+                reported_s = time.monotonic()
+                self.go_on(robots)
+            return condition()
+        return wait(is_met)
 
     def _publish(self, robots, with_silent):
         for robot in robots:

@@ -12,7 +12,6 @@ import re
 import dashboard_page
 from dashboard_page import Dashboard
 from dashboard_page import SIZES
-from harness import wait
 from page_states import alerts
 from page_states import Clock
 from page_states import places
@@ -58,7 +57,7 @@ def look(page, row, stage):
         return re.search(row.bar, seen['text'].replace('\n', ' ')) \
             and (not row.mark or re.search(row.mark, seen['title']))
     try:
-        wait(is_shown)
+        stage.wait_for(row.robots, is_shown)
     except AssertionError:
         raise AssertionError(f'{row.cause}: {seen}') from None
     problems = stage.problems()
@@ -79,7 +78,7 @@ def test_all_six_say_the_same(of, healthy, monkeypatch):
         twice = []
         for at, row in enumerate(rows(of)):
             stage.play(healthy)
-            wait(lambda: page.evaluate(WELL))
+            stage.wait_for(healthy, lambda: page.evaluate(WELL))
             stage.play(row.robots)
             seen = look(page, row, stage)
             check(row, seen, height)
