@@ -30,6 +30,7 @@ from servobus.sources.source import Source
 
 S = 1_000_000_000
 REPORT_NS = S // 2
+SETTLED_S = 2.0                    # the first guess after a few packets is often another one
 ARRIVAL_NS = S // 5                # a chunk may be handed over so long after its stamp
 ENOUGH_TRAFFIC_S, GIVE_UP_SILENCE_S = 10.0, 5.0   # for a live source without --seconds
 LONGEST_PAUSE_NS = 12 * S          # a file is silent for longer: passed over, all is forgotten
@@ -140,16 +141,17 @@ class Examination:
         return '; '.join([f'{packets} packets, {devices} devices', *rules[:3]])
 
     def worst(self) -> str:
-        """Return what is wrong at this moment, the worst of it; '' for nothing."""
-        found = max(self._current_findings(), key=lambda one: one.level, default=None)
+        """Return the worst of what is wrong, and has been for SETTLED_S; '' for nothing."""
+        found = max(self._current_findings(SETTLED_S), key=lambda one: one.level, default=None)
         if found is None or found.level is Level.OK:
             return ''
         who = 'the bus' if found.device is None else f'{found.device:03}'
         return f'{who}: {found.rule.replace("_", " ")}: {found.message}'
 
-    def _current_findings(self) -> list[Finding]:
-        """Return what is found at this moment, of all buses."""
-        return [one.finding for log in self._logs.values() for one in log.entries() if one.stands]
+    def _current_findings(self, since_s: float = 0.0) -> list[Finding]:
+        """Return what is found at this moment, of all buses; since_s: for so long at least."""
+        return [one.finding for log in self._logs.values() for one in log.entries()
+                if one.stands and one.last_s - one.first_s >= since_s]
 
     def buses(self, is_timed: bool) -> list[BusSummary]:
         """Return each bus as it is shown at the end."""

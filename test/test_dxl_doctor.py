@@ -459,6 +459,19 @@ while not select.select([sys.stdin], [], [], 0)[0]:
 """
 
 
+def test_what_is_said_meanwhile_has_been_so_for_a_while():
+    """After the first packets a cause looks like another one, and a program runs for hours."""
+    examination = Examination(MODELS, DEVICES)
+    told = []
+    for chunk in heard('silent:4:2'):
+        examination.feed_chunk(chunk, WIRE)
+        told.append((examination.seconds, examination.worst()))
+    first_s, text = next((at, text) for at, text in told if text)
+    [lost] = examination.buses(True)[0].logged
+    assert lost.first_s + 2.0 <= first_s < lost.first_s + 2.6
+    assert text.startswith('004: no answer')
+
+
 @pytest.mark.realtime(bears=0.02)
 def test_the_first_finding_comes_while_the_program_runs(meeting_place, tmp_path):
     with Pty(str(tmp_path / 'bus')) as pty, subprocess.Popen(
