@@ -671,7 +671,9 @@ def test_a_number_is_no_return_code_because_a_code_has_its_digits(pasted):
 def test_an_error_that_any_program_may_raise_is_not_one_of_the_bus():
     error = 'IndexError: list index out of range'
     assert Ending(code=1, error=error).failed == FAILED
-    assert Ending(code=1, error=error, packages=frozenset({'dynamixel_sdk'})).failed == RAISED
+    of_sdk = Ending(code=1, error=error, packages=frozenset({'dynamixel_sdk'}))
+    assert of_sdk._replace(function='read4ByteTxRx').failed == RAISED
+    assert of_sdk._replace(function='makeParam').failed == FAILED    # of parameters of its own
 
 
 @pytest.mark.parametrize(('error', 'failed'), [

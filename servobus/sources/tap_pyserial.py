@@ -19,6 +19,7 @@ import os
 import sys
 import threading
 import time
+from types import FrameType
 from typing import Any
 from weakref import WeakSet
 
@@ -400,18 +401,24 @@ def _watch_threads(sender: Any) -> None:
 
 def packages_of(error: BaseException) -> set[str]:
     """Return the packages that an exception came through."""
-    packages = set()
-    trace = error.__traceback__
+    return {str(frame.f_globals.get('__name__')).partition('.')[0] for frame in _frames(error)}
+
+
+def _frames(error: BaseException) -> list[FrameType]:
+    """Return the frames that an exception came through; the last raised it."""
+    frames, trace = [], error.__traceback__
     while trace is not None:
-        packages.add(str(trace.tb_frame.f_globals.get('__name__')).partition('.')[0])
+        frames.append(trace.tb_frame)
         trace = trace.tb_next
-    return packages
+    return frames
 
 
 def _described(error: Exception) -> dict[str, Any]:
-    """Return an error in words, and the packages that it came through."""
+    """Return an error in words, the packages that it came through, the function that raised it."""
     return {'error': f'{type(error).__name__}: {error}'[:ERROR_TEXT_LIMIT],
-            'packages': sorted(packages_of(error)), 'python': sys.executable}
+            'packages': sorted(packages_of(error)),
+            'function': next((frame.f_code.co_name for frame in reversed(_frames(error))), ''),
+            'python': sys.executable}
 
 
 def _watch_opens(sender: Any) -> None:

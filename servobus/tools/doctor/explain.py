@@ -33,7 +33,8 @@ class Explanation(NamedTuple):
     One text. findings: names of rules, the likeliest first; do: what else helps, or ''.
 
     code: the return code that says the same, or 0. pattern: a regular expression, or ''.
-    is_general: whether programs without a servo bus print it too.
+    is_general: whether programs without a servo bus print it too. raised_in: a regular expression
+    of the functions that raise it for this cause, or ''.
     """
 
     text: str
@@ -45,6 +46,7 @@ class Explanation(NamedTuple):
     code: int = 0
     pattern: str = ''
     is_general: bool = False
+    raised_in: str = ''
 
 
 @cache
@@ -54,15 +56,16 @@ def explanations() -> tuple[Explanation, ...]:
     return tuple(Explanation(**one) for one in yaml.safe_load(file.read_text(encoding='utf-8')))
 
 
-def find(pasted: str) -> list[Explanation]:
+def find(pasted: str, function: str = '') -> list[Explanation]:
     """
-    Return what the text means that a person pasted.
+    Return what the text means that a person pasted; function: the one that raised it, if known.
 
     A known text within it counts, and it within a known text; where there are several, in the
     order in which they stand in it.
     """
     wanted = _plain(pasted)
-    found = [(at, one) for one in explanations() if (at := _place(one, wanted)) is not None]
+    found = [(at, one) for one in explanations() if (at := _place(one, wanted)) is not None
+             and (not function or re.search(one.raised_in, function.lower()))]
     return [one for _, one in sorted(found, key=lambda pair: pair[0])]
 
 

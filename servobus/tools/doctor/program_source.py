@@ -68,10 +68,15 @@ _ROBBED = 'multiple access on port'        # as pyserial says
 
 
 class Ending(NamedTuple):
-    """How a program ended; error: the exception that nothing caught, '' if none is known."""
+    """
+    How a program ended; error: the exception that nothing caught, '' if none is known.
+
+    function: the one that raised it, packages: those that it came through.
+    """
 
     code: int = 0
     error: str = ''
+    function: str = ''
     packages: frozenset[str] = frozenset()
     python: str = ''               # that ran it
     was_stopped: bool = False      # by Ctrl-C or another signal
@@ -96,12 +101,16 @@ class Ending(NamedTuple):
 
     @property
     def _cause(self) -> str:
-        means = explain.find(self.error or '-')
+        means = self._means
         if any('rate_refused' in one.findings for one in means):
             return RATE_REFUSED
-        is_of_library = self.packages & SERVO_LIBRARIES or any(
-            not one.is_general for one in means)
+        is_of_library = any(not one.is_general for one in means) or (
+            self.packages & SERVO_LIBRARIES and (means or not explain.find(self.error or '-')))
         return RAISED if is_of_library else FAILED
+
+    @property
+    def _means(self) -> list[explain.Explanation]:
+        return explain.find(self.error or '-', self.function)
 
     @property
     def ended_by(self) -> str:
@@ -112,7 +121,7 @@ class Ending(NamedTuple):
         """Return what is wrong with a program that its servo library has ended, or a thread of."""
         if (not self.is_of_thread and not self.failed) or self._cause == FAILED:
             return None
-        means = explain.find(self.error)
+        means = self._means
         who = 'a thread of it' if self.is_of_thread else 'it'
         return Trouble(Level.WARN, 'the program', '', f'{who} ended with {self.error}',
                        means[0].means if means else '')
@@ -263,6 +272,7 @@ class Program(Source):
         if record.kind == ENDED:
             ended: dict[str, Any] = json.loads(record.data)
             self._ending = Ending(error=printable(' '.join(ended['error'].split())),
+                                  function=ended['function'],
                                   packages=frozenset(ended['packages']),
                                   python=ended['python'], is_of_thread=ended['thread'])
             self._openings.is_robbed |= _ROBBED in self._ending.error
