@@ -63,6 +63,7 @@ FACTORY_DELAY_US = 500             # Return Delay Time as from the factory (e-Ma
 AWAY_MIN_MS = 100                  # shorter than any start; longer than an answer or two lost
 STOPPED_MIN_S = 1.0                # two reports at the usual 2 Hz: one may be before it starts
 FOLLOW_WINDOW_S = 4.0              # samples of so long show whether it follows
+SCS_STEPS = 1024                   # over the travel of an SCS
 SUPPLY = 'Present Input Voltage', 'Min Voltage Limit', 'Max Voltage Limit'
 SINGLE_WRITES = (Instruction.WRITE, Instruction.REG_WRITE)
 # Error numbers of a status (e-Manual, Protocol 2.0).
@@ -138,6 +139,16 @@ def raw_value(case: Case, device: DeviceReport, name: str) -> float | None:
 def is_of_one_turn(field: Field) -> bool:
     """Tell whether a position is in steps of which a turn has 4096."""
     return isclose(TURN_STEPS * (field.scale or 0.0), tau, abs_tol=0.005)
+
+
+def is_scs(field: Field) -> bool:
+    """Tell whether a position is that of an SCS servo: high byte first, and no turns."""
+    return field.byte_order == 'big'
+
+
+def highest_goal(field: Field) -> int:
+    """Return the highest position of one turn, or of the travel of an SCS."""
+    return (SCS_STEPS if is_scs(field) else TURN_STEPS) - 1
 
 
 def span(places: Iterable[float | None]) -> float:

@@ -23,8 +23,10 @@ from servobus.doctor.facts import absences
 from servobus.doctor.facts import ACCESS_ERROR
 from servobus.doctor.facts import does_not_follow
 from servobus.doctor.facts import FOLLOW_WINDOW_S
+from servobus.doctor.facts import highest_goal
 from servobus.doctor.facts import is_of_one_turn
 from servobus.doctor.facts import is_off
+from servobus.doctor.facts import is_scs
 from servobus.doctor.facts import is_watched
 from servobus.doctor.facts import least_refusals
 from servobus.doctor.facts import LIMIT_ERROR
@@ -52,7 +54,6 @@ from servobus.model.control_table import Field
 SIGN_AT = 15                       # the bit of a velocity of Feetech that is its sign
 NEGATIVE_MAX = 8192                # as two's complement; without it 24576: no servo is so fast
 ROUND_SPEED = 100
-SCS_STEPS = 1024                   # over the travel of an SCS
 BYTE = 256
 POSITION_CONTROL = 3               # a value of Operating Mode (e-Manual)
 GOALS_BEYOND_MIN = 2               # one may be a slip of a person
@@ -173,19 +174,9 @@ def _position_beyond(case: Case, device: DeviceReport) -> Found | None:
         if low < high and _are_limits(device, values, names[0], high - low):
             return _goals_held_back(case, device, names, low, high)
     if device.model.protocol == '1' or (is_feetech and not values.keys().isdisjoint(names)) \
-            or not (is_of_one_turn(goal.field) or _is_scs(goal.field)):
+            or not (is_of_one_turn(goal.field) or is_scs(goal.field)):
         return None                            # Feetech: both are 0 where it has none
     return _goals_beyond_a_turn(case, device, goal.field, has_mode)
-
-
-def _is_scs(field: Field) -> bool:
-    """Tell whether a position is that of an SCS servo: high byte first, and no turns."""
-    return field.byte_order == 'big'
-
-
-def _highest_goal(field: Field) -> int:
-    """Return the highest position of one turn, or of the travel of an SCS."""
-    return (SCS_STEPS if _is_scs(field) else TURN_STEPS) - 1
 
 
 def _are_limits(device: DeviceReport, values: dict[str, Observed], lower: str,
@@ -205,8 +196,8 @@ def _goals_swapped(case: Case, device: DeviceReport) -> Found | None:
         return None
     goal, meant = max(clear.items())
     field = device.model.by_name['Goal Position']
-    mine, other_one = ('high', 'low') if _is_scs(field) else ('low', 'high')
-    return Claim(f'goals as {goal} are sent, beyond 0 to {_highest_goal(field)}; with their two '
+    mine, other_one = ('high', 'low') if is_scs(field) else ('low', 'high')
+    return Claim(f'goals as {goal} are sent, beyond 0 to {highest_goal(field)}; with their two '
                  f'bytes swapped all are within ({meant}): it takes the {mine} byte first, the '
                  f'program sends the {other_one} one first, as to another series: swap them, also '
                  'in what it reads', {'as sent': goal, 'swapped': meant},
@@ -218,7 +209,7 @@ def _clearly_swapped_goals(case: Case, device: DeviceReport) -> dict[float, floa
     goal = case.values[device.id].get('Goal Position')
     if goal is None or goal.source != 'w' or raw_value(case, device, 'Operating Mode'):
         return {}
-    top, clear = _highest_goal(goal.field), {}
+    top, clear = highest_goal(goal.field), {}
     for one in reversed(case.samples.get(device.id, ())):
         if one.goal is None:
             continue                           # between two reports
@@ -249,7 +240,7 @@ def _goals_held_back(case: Case, device: DeviceReport, names: tuple[str, str], l
 def _goals_beyond_a_turn(case: Case, device: DeviceReport, field: Field,
                          is_certain: bool) -> Found | None:
     """Look for goals beyond a turn, where no limits are known and it does not go there."""
-    samples, top = case.samples.get(device.id, ()), _highest_goal(field)
+    samples, top = case.samples.get(device.id, ()), highest_goal(field)
     beyond = [one for one in samples if one.goal is not None and not 0 <= one.goal <= top]
     if len(beyond) < GOALS_BEYOND_MIN:
         return None
@@ -263,7 +254,7 @@ def _goals_beyond_a_turn(case: Case, device: DeviceReport, field: Field,
     moved_before = still >= GOALS_BEYOND_MIN \
         and not {*places}.issuperset(one.position for one in samples)
     # In another mode, or without limits, it would go there; an SCS never.
-    has_no_turns = _is_scs(field) and all(0 <= place <= top for place in places)
+    has_no_turns = is_scs(field) and all(0 <= place <= top for place in places)
     if not (is_at_rest or moved_before or has_no_turns or (is_certain and not is_feetech)):
         return None
     remedy = 'keep them within, and read Min and Max Position Limit' if is_feetech else \

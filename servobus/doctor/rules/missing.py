@@ -26,8 +26,11 @@ from servobus.doctor.facts import does_not_follow
 from servobus.doctor.facts import fatal_late_answer
 from servobus.doctor.facts import fatal_wait
 from servobus.doctor.facts import first_of_groups
+from servobus.doctor.facts import highest_goal
+from servobus.doctor.facts import is_of_one_turn
 from servobus.doctor.facts import is_off
 from servobus.doctor.facts import is_rate_search
+from servobus.doctor.facts import is_scs
 from servobus.doctor.facts import span
 from servobus.doctor.rhythm import WRITES
 from servobus.doctor.rule import about
@@ -442,9 +445,20 @@ def _restart_proof(case: Case, back: Incident[ev.SilentFor]) -> str:
     if device is not None and not device.alert \
             and 2 * back.detail.missed >= device.window.missed \
             and does_not_follow(after) and not does_not_follow(before) \
-            and span([one.position for one in before]) >= GOAL_MOVES_STEPS:
+            and span([one.position for one in before]) >= GOAL_MOVES_STEPS \
+            and not _goes_beyond(case, device, after):
         return 'no longer follows its goal'        # one of many short absences is a plug
     return ''
+
+
+def _goes_beyond(case: Case, device: DeviceReport, samples: list[Sample]) -> bool:
+    """Tell whether goals are beyond a turn, or the travel of an SCS, where it never was."""
+    goal = case.values[device.id].get('Goal Position')
+    if goal is None or not (is_of_one_turn(goal.field) or is_scs(goal.field)):
+        return False
+    top = highest_goal(goal.field)
+    return any((one.goal or 0) > top for one in samples) \
+        and all((one.position or 0) <= top for one in samples)
 
 
 def _tick_jumped(before: Sample, after: Sample) -> bool:

@@ -258,8 +258,8 @@ def wrong_packets(case: Case) -> Claims:
         yield Claim(f'{name_of(code)} with {size} parameter bytes makes no sense: its Length or '
                     'its data are wrong, and the next packet is lost with it; correct the program',
                     level=Level.WARN)
-    elif report.has_sides and not report.is_answered and sent >= SENT_MIN_BYTES \
-            and report.counters['Packet Bytes'] == 0:
+    elif report.has_sides and not report.is_answered and report.counters['Packet Bytes'] == 0 \
+            and report.counters['Noise Bytes'] >= SENT_MIN_BYTES:      # not one that may be whole
         what = 'correct their checksum, CRC or Length' if HEADER in report.noise else \
             'packets begin with FF FF; send them as bytes, not as text'
         yield Claim(f'none of the {sent} bytes that the program sent is part of a packet that a '
