@@ -48,6 +48,8 @@ def named(model, program, left_out):
         truth, said = model.by_address[at], found.by_address.get(at)
         if said is None or said.name == f'Address {at}':
             result['no name'] += 1
+        elif truth.name in said.name.split(' or ') and said.size == truth.size:
+            result['right'] += 1       # one of two goals
         elif kind(said) != kind(truth):
             result[f'{said} of {model.name}'] += 1
         elif said.unit and said.scale and (said.unit, said.scale, said.offset) != (

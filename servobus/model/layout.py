@@ -107,6 +107,9 @@ def agreed_model(tables: Iterable[Model], used: Collection[Use]) -> Model:
                  field.name in _WHERE_USED and (field.at, field.size) in uses))))
              and (is_enough or (field.at, field.size) in uses)]
     fields = [field for field in found if field]
+    fields += [goal for field in first.fields if is_enough and any(
+        at <= field.at and field.end <= at + size for at, size in uses)
+        and (goal := _either_goal([table.by_address.get(field.at) for table in fits]))]
     fields += [Field(at + n, f'Address {at + n}', 'u8', access='rw', memory='eeprom')
                for at, size in uses if all(_is_eeprom(table, at, size) for table in fits)
                and not any(field.at == at for field in fields) for n in range(size)]
@@ -186,6 +189,17 @@ def _agreed_field(fields: list[Field | None], knows_units: bool) -> Field | None
            for one in same):
         found = replace(found, enum=None, spans=(), flags=())
     return found
+
+
+def _either_goal(fields: list[Field | None]) -> Field | None:
+    """Return a goal that has one of two names; None where the tables differ in more."""
+    known = [field for field in fields if field is not None and field.name.startswith('Goal')]
+    names = sorted({field.name for field in known})
+    if len(known) < len(fields) or len(names) != 2 \
+            or len({(one.at, one.size, one.byte_order) for one in known}) > 1:
+        return None
+    return Field(known[0].at, ' or '.join(names), f'u{8 * known[0].size}',
+                 access=known[0].access, memory=known[0].memory, byte_order=known[0].byte_order)
 
 
 def _kind(field: Field) -> tuple[object, ...]:

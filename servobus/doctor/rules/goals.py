@@ -73,6 +73,7 @@ _MOTION = _PLACE, 'Torque Enable'
 _PLACE_AND_MODE = _PLACE, 'Operating Mode'
 # Values of Operating Mode in which goals are positions (e-Manual), and those of Feetech.
 _POSITION_MODES = (3, 4, 5), (0, 3)
+_TORQUE_OF_HLS = 'Goal Time or Goal Torque'    # what series is not known (model/layout.py)
 _FORCES = 'Torque Limit', 'Goal Torque', 'Goal PWM', 'PWM Limit'      # 0 in one: it has none
 
 
@@ -302,6 +303,8 @@ def torque_off(case: Case, device: DeviceReport) -> Found | None:
         first = 'read Torque Enable and Operating Mode' \
             if torque is not None and 'Operating Mode' in device.model.by_name \
             else 'write 1 to Torque Enable'
+        if raw_value(case, device, _TORQUE_OF_HLS) == 0:
+            first = f'an HLS servo has no force with the Goal Torque 0 that is sent to it; else {first}'
         return Claim('goals leave its position on both sides or repeatedly, and it '
                      f'does not move: {first}, or check its motor and what '
                      'blocks it', rests_on=_MOTION)
