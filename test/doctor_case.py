@@ -197,8 +197,8 @@ def _waits(us, device=1, times=1, ago_s=0.0, spoilt=False, asks='READ'):
     return [Wait(NOW - int(ago_s * S), us, device, spoilt, I[asks])] * times
 
 
-def _id_write(number, ids, ago_s, baud=-1, back_s=None):
-    return IdWrite(number, tuple(ids), NOW - int(ago_s * S), baud,
+def _id_write(number, ids, ago_s, baud=-1, back_s=None, locked=False):
+    return IdWrite(number, tuple(ids), NOW - int(ago_s * S), baud, locked,
                    0 if back_s is None else NOW - int(back_s * S))
 
 

@@ -52,6 +52,7 @@ _RESET_KEEPS: dict[str, tuple[str, ...]] = {
 }
 _CALIBRATED = (PLACE, OFFSET)
 # Where a device of unknown model has its ID, by its protocol; the Baud Rate comes after it.
+_LOCK = (55, 1)                    # the use of Lock of Feetech, where registers are not known
 _ID_AT = {'2': (7,), '1': (3,), 'feetech': (5,), '1 or feetech': (3, 5)}
 _DIALECTS = {dialect.protocol: dialect for dialect in DIALECTS}
 _CLEARS = {MULTI_TURN: PLACE, ERROR: 'Hardware Error Status'}
@@ -336,7 +337,8 @@ class DeviceRegistry:
         before = self.id_writes.get(number)
         ids = before.ids if before is not None and before.stamp == stamp else ()
         baud = data[1] if len(data) > 1 else -1
-        self.id_writes[number] = IdWrite(number, (*ids, device.number), stamp, baud)
+        is_locked = _LOCK not in device.used and self._raw(device, 'Lock', 1) != 0
+        self.id_writes[number] = IdWrite(number, (*ids, device.number), stamp, baud, is_locked)
 
     def report_id_writes(self) -> tuple[IdWrite, ...]:
         """Return the last write of each new ID; an old ID may have answered since."""

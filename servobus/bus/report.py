@@ -289,6 +289,7 @@ class IdWrite(NamedTuple):
     ids: tuple[int, ...]
     stamp: int
     baud: int                      # the code of Baud Rate, which the same write reached; or -1
+    is_locked: bool = False        # Feetech: as far as heard, nothing unlocked the EEPROM
     back: int = 0                  # stamp of the first answer since by one of the old IDs
 
 

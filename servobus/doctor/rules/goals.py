@@ -55,6 +55,8 @@ SIGN_AT = 15                       # the bit of a velocity of Feetech that is it
 NEGATIVE_MAX = 8192                # as two's complement; without it 24576: no servo is so fast
 ROUND_SPEED = 100
 BYTE = 256
+AX_STEPS = 1023                    # the highest position of AX, EX and RX
+GOAL_CHANGES_MIN = 3               # after so many a joint that rests at its stop has moved
 POSITION_CONTROL = 3               # a value of Operating Mode (e-Manual)
 GOALS_BEYOND_MIN = 2               # one may be a slip of a person
 WORD = 65_536
@@ -304,10 +306,18 @@ def torque_off(case: Case, device: DeviceReport) -> Found | None:
             if torque is not None and 'Operating Mode' in device.model.by_name \
             else 'write 1 to Torque Enable'
         if raw_value(case, device, _TORQUE_OF_HLS) == 0:
-            first = f'an HLS servo has no force with the Goal Torque 0 that is sent to it; else {first}'
+            first = 'an HLS servo has no force with the Goal Torque 0 that is sent to it; else ' \
+                f'{first}'
         return Claim('goals leave its position on both sides or repeatedly, and it '
                      f'does not move: {first}, or check its motor and what '
                      'blocks it', rests_on=_MOTION)
+    if (torque is None or torque.source == 'w') and is_watched(case, device, place) \
+            and _no_joint_moves(case):
+        beyond = '' if place.value.raw <= AX_STEPS or goal is None or goal.value.raw > AX_STEPS \
+            or device.model.protocol != '1' else '; or it has other registers, as a Feetech ' \
+            f'servo: position {place.value.raw} is beyond the {AX_STEPS} of an AX'
+        return Claim('its goals change, and no joint moves: write 1 to Torque Enable, check the '
+                     f'supply of the motors{beyond}', rests_on=_MOTION)
     if may_hold or (
             torque is not None and torque.value.raw and not absences(case, device)):
         return None                    # it is on, so something holds it, or it is where it can be
@@ -466,6 +476,17 @@ def _others_move(case: Case, device: DeviceReport, samples: list[Sample]) -> boo
     since = samples[1].stamp
     return any(span([one.position for one in recent_samples(case, other) if one.stamp >= since])
                >= GOAL_MOVES_STEPS for other in case.samples if other != device.id)
+
+
+def _no_joint_moves(case: Case) -> bool:
+    """Tell whether the goals of several joints change all the time, and none has ever moved."""
+    driven = [samples for number in case.samples
+              if len(samples := [*case.samples[number]]) > STILL_MIN_REPORTS
+              and span([one.goal for one in samples]) >= GOAL_MOVES_STEPS]
+    return len(driven) > 1 and case.turned.isdisjoint(case.samples) and all(
+        0 <= span([one.position for one in samples]) <= STILL_MAX_STEPS
+        and sum(one.goal != two.goal for one, two in pairwise(samples)) >= GOAL_CHANGES_MIN
+        for samples in driven)
 
 
 def _is_ignored(samples: list[Sample], least: float, may_hold: bool) -> bool:

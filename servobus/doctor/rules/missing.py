@@ -4,7 +4,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from collections.abc import Set
 from dataclasses import replace
+from itertools import groupby
 from statistics import median
 
 from msg_defs.diagnostics import Level
@@ -51,6 +54,7 @@ from servobus.doctor.thresholds import GONE_S
 from servobus.doctor.thresholds import INCIDENTS_MIN
 from servobus.doctor.thresholds import LONG_WAIT_MS
 
+TOGETHER_S = 0.5                   # fell silent, or came back, within it: by one cause
 RETURN_SETTLED_S = 2.0             # by then a restart has shown
 TICK_TURN_S, TICK_SLACK_S = 32.768, 0.5        # Realtime Tick begins at 0 again (e-Manual)
 MISSED_MIN_SHARE = 0.01            # share of its answers; fewer are lost on a healthy bus too
@@ -251,11 +255,38 @@ def _no_answer_claim(case: Case, number: int) -> Claim:
         else f'though it gave {device.totals.answers} before, and the program ended there'
     others = ', others answer' if any(
         case.recent_counts(other, GONE_S).answers for other in case.devices) else ''
+    figures = {'requests without an answer': device.missed_in_a_row, **_wait_figures(case, number)}
+    together = _lost_together(case, device) if others else []
+    if together:
+        return Claim(f'{first_ids(together, 3)} fell silent together, others answer: check '
+                     f'{_before(case, together)}, and their supply', figures, device=number)
     what = 'cable and ID' if device.last_heard_s is not None else 'cable, ID and baud rate' if any(
         other.totals.answers for other in case.devices) else f'cable and ID{_OF_THE_MASTER}'
-    return Claim(f'no answer, {since}{others}: check its power, {what}',
-                 {'requests without an answer': device.missed_in_a_row,
-                  **_wait_figures(case, number)}, device=number)
+    return Claim(f'no answer, {since}{others}: check its power, {what}', figures, device=number)
+
+
+def _lost_together(case: Case, device: DeviceReport) -> list[int]:
+    """Return the devices, next to each other by ID, that fell silent when this one did, if any."""
+    since = device.last_heard_s
+    if since is None or device.id not in case.gone:
+        return []
+    return _neighbours_in(case, device.id, {
+        one.id for one in case.devices if one.missed_in_a_row and one.last_heard_s is not None
+        and abs(one.last_heard_s - since) <= TOGETHER_S})
+
+
+def _neighbours_in(case: Case, number: int, ids: Set[int]) -> list[int]:
+    """Return those of some devices that are next to one by ID, with it; nothing if it is alone."""
+    groups = groupby(sorted(case.by_id), key=ids.__contains__)
+    found = next((group for is_in, some in groups if is_in and number in (group := [*some])), [])
+    return found if len(found) > 1 else []
+
+
+def _before(case: Case, ids: Sequence[int]) -> str:
+    """Return the part of the cable that devices share, in words."""
+    before = max((one for one in case.by_id if one < ids[0]), default=None)
+    wired = '' if before is None else f' ({before:03} to {ids[0]:03}, if they are in this order)'
+    return f'the plug or cable before the first of them{wired}'
 
 
 def _wait_figures(case: Case, number: int) -> dict[str, str]:
@@ -395,6 +426,16 @@ def dropout(case: Case, device: DeviceReport) -> Found | None:
     others = [other for other in case.devices if other.id != device.id]
     supply = ', or the supply of all: nothing else was heard either' \
         if others and all(other.window.not_served for other in others) else ''
+    alike = [other for other in absences(case) for one in gaps
+             if abs(other.stamp - one.stamp) <= TOGETHER_S * NS_PER_S
+             and abs(other.detail.ms - one.detail.ms) <= TOGETHER_S * 1000]
+    together = _neighbours_in(case, device.id, {one.device for one in alike})
+    if together and len(together) < len(case.devices):
+        return Claim(f'{first_ids(together, 3)} were silent together for '
+                     f'{max(one.detail.ms for one in alike)} ms, others were not: check '
+                     f'{_before(case, together)}, and their supply; read Torque Enable to see '
+                     'whether they restarted',
+                     {'absences': len(gaps), 'longest (ms)': away})
     after, before = _neighbours(case, device)
     where = '' if before is None else f' between {before:03} and {device.id:03}'
     unserved = f', and {first_ids(after, 2)} after it not served' if after else ''

@@ -298,7 +298,7 @@ def id_write(case: Case) -> Claims:
 
     Do: connect one servo, write one byte; write 0 to Lock before (Feetech).
     """
-    for number, ids, stamp, baud, back in case.report.id_writes:
+    for number, ids, stamp, baud, is_locked, back in case.report.id_writes:
         new = case.by_id.get(number)
         gone = [one for one in ids if one in case.by_id and case.by_id[one].missed_in_a_row
                 and _heard_at(case, one) <= stamp]
@@ -320,6 +320,12 @@ def id_write(case: Case) -> Claims:
             yield Claim(f'silent, and {ids[0]:03}, which was given this ID, answers again: unless '
                         'that is another servo, the ID was lost when its power was off; write it '
                         f'again with its torque off{of_lock}', level=Level.WARN, device=number)
+        elif is_locked and _heard_at(case, number) > stamp and not back \
+                and FEETECH.name in new.protocol:
+            yield Doubt(f'silent since; {ids[0]:03} was given this ID without 0 in Lock before: a '
+                        'Feetech servo has its old ID again when its power was off, or it lost '
+                        'its cable', number, f'ping {ids[0]:03}: if it answers, write 0 to Lock '
+                        f'(55), {number} to ID (5), 1 to Lock')
 
 
 def _heard_at(case: Case, number: int) -> float:
