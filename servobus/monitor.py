@@ -381,7 +381,8 @@ class Monitor:
             kinds=dict(evidence.counts), protocol=self.decoder.protocol(), scanned=self._scanned(),
             is_answered=self.decoder.is_answered, has_sides=OUT in self.decoder.framers,
             line_mode=self.decoder.line_mode, users=self._users,
-            is_over=self._failed is not None, failed=self._failed or '',
+            is_over=self._failed is not None, is_closed=self.decoder.sessions.is_closed,
+            failed=self._failed or '',
             chain=tuple(expected.id for expected in self.settings.devices),
             tried=frozenset(self._registry.tried),
             id_writes=self._registry.report_id_writes() if self._registry.id_writes else ())

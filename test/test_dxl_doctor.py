@@ -488,6 +488,27 @@ def test_the_first_finding_comes_while_the_program_runs(meeting_place, tmp_path)
 
 
 @pytest.mark.realtime(bears=0.02)
+def test_a_stop_hides_no_error_that_was_there_before(meeting_place, tmp_path):
+    """People press Ctrl-C where a program has crashed and takes its time to end."""
+    with Pty(str(tmp_path / 'bus')) as pty:
+        script = LASTS.format(pty.path).replace('input()', """
+import atexit, time
+def leave():
+    print('leaves', flush=True)
+    time.sleep(60)
+atexit.register(leave)
+raise ConnectionError('[TxRxResult] There is no status packet!')""")
+        with subprocess.Popen(
+                [sys.executable, '-m', DOCTOR, 'run', '--', sys.executable, '-c', script],
+                env={**os.environ, 'XDG_RUNTIME_DIR': meeting_place}, cwd=ROOT, text=True,
+                stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True) as tool:
+            next(line for line in tool.stdout if 'leaves' in line)
+            os.killpg(tool.pid, signal.SIGINT)
+            answer, _ = tool.communicate(timeout=60)
+    assert 'it ended with ConnectionError' in ' '.join(answer.split())
+
+
+@pytest.mark.realtime(bears=0.02)
 def test_it_answers_in_time_while_the_program_goes_on(meeting_place, tmp_path):
     with Pty(str(tmp_path / 'bus')) as pty, subprocess.Popen(
             [sys.executable, '-m', 'servobus.tools.dxl_doctor', '--json', '--seconds', '3',

@@ -16,15 +16,16 @@ class PortSessions:
     def __init__(self, evidence: Evidence) -> None:
         self._evidence = evidence
         self.opened_ns = 0
+        self.is_closed = False                 # after a session; before the first it is unknown
         self._sent = 0                         # bytes before it
 
     def begin(self, stamp: int, sent: int) -> None:
         """Note that the port is open; sent: bytes of the program so far."""
-        self.opened_ns, self._sent = stamp, sent
+        self.opened_ns, self._sent, self.is_closed = stamp, sent, False
 
     def end(self, stamp: int, sent: int, asked: int, answered: int) -> None:
         """Note that the port is closed; asked, answered: stamps of the last of each."""
-        opened, self.opened_ns = self.opened_ns, 0
+        opened, self.opened_ns, self.is_closed = self.opened_ns, 0, True
         size = sent - self._sent
         if not size or not opened:
             return

@@ -326,6 +326,7 @@ class BusReport(NamedTuple):
     chain: tuple[int, ...] = ()                 # the IDs of `devices`, in the order of the cable
     has_sides: bool = False                     # TX and RX of the master are known apart
     is_over: bool = False                       # the program that asks has ended
+    is_closed: bool = False                     # it has closed its port
     id_writes: tuple[IdWrite, ...] = ()         # the last of each new ID
     tried: frozenset[int] = frozenset()         # baud rates of the master, one after the other
     is_answered: bool = True                    # something came to the master, as far as known

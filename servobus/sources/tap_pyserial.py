@@ -413,10 +413,18 @@ def _frames(error: BaseException) -> list[FrameType]:
     return frames
 
 
+def _is_by_stop(error: BaseException | None) -> bool:
+    """Tell whether an error came while Ctrl-C was dealt with."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
 def _described(error: Exception) -> dict[str, Any]:
-    """Return an error in words, the packages that it came through, the function that raised it."""
+    """Return an error in words, and where it came from."""
     return {'error': f'{type(error).__name__}: {error}'[:ERROR_TEXT_LIMIT],
             'packages': sorted(packages_of(error)),
+            'stopped': _is_by_stop(error),
             'function': next((frame.f_code.co_name for frame in reversed(_frames(error))), ''),
             'python': sys.executable}
 

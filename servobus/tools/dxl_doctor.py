@@ -144,6 +144,7 @@ class _DoctorRun:
         self._program = Program(command, options.by, sys.stderr.fileno() if options.json else None
                                 ) if command else None
         self._progress = ProgressLine(PROGRESS_EVERY_S)
+        self._progress.is_shown &= self._program is None       # which may ask for a key there
         self._awaits_finding = self._progress.is_shown or self._program is not None
         self._source = self._program or open_source('dxl_doctor', options.source, options.baud,
                                                     options.adapter)
@@ -190,9 +191,14 @@ class _DoctorRun:
         if self._awaits_finding and (worst := examination.worst()):
             self._awaits_finding = False
             self._progress.clear()
-            print(f'dxl_doctor: {worst}', file=sys.stderr, flush=True)
+            print(f'{self._new_line}dxl_doctor: {worst}', file=sys.stderr, flush=True)
         self._progress.show(
             now_s, lambda: f'dxl_doctor, {now_s:.0f} s, Ctrl-C ends: {examination.summary()}')
+
+    @property
+    def _new_line(self) -> str:
+        """What ends a line of the program on the screen."""
+        return '\n' if self._program is not None and sys.stderr.isatty() else ''
 
     def _has_enough(self, now_s: float) -> bool:
         """Tell whether to end; now_s: since the start."""

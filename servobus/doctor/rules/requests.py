@@ -401,7 +401,7 @@ def master_stopped(case: Case) -> Claims:
     report = case.report
     if case.quiet_s < STOPPED_MIN_S or (report.last_byte_s or 0.0) < STOPPED_MIN_S \
             or report.stamp - report.deaf < STOPPED_MIN_S * NS_PER_S \
-            or ev.PORT_LOST in report.kinds:
+            or ev.PORT_LOST in report.kinds or report.is_closed:
         return                                 # a closed port hears no master
     since = (report.asked - case.run_from) / NS_PER_S
     if since < WORKED_MIN_S:

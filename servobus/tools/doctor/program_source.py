@@ -79,7 +79,7 @@ class Ending(NamedTuple):
     function: str = ''
     packages: frozenset[str] = frozenset()
     python: str = ''               # that ran it
-    was_stopped: bool = False      # by Ctrl-C or another signal
+    was_stopped: bool = False      # by Ctrl-C or another signal, and the error came of that
     users: tuple[str, ...] = ()    # who else has one of its ports open
     unheard: str = ''              # why the tap heard nothing
     is_over: bool = True
@@ -256,7 +256,8 @@ class Program(Source):
         code = self._child.returncode or 0
         return self._ending._replace(
             code=self._started.exit_code,
-            was_stopped=self._was_stopped or (code < 0 and -code not in CRASHES),
+            was_stopped=self._ending.was_stopped if self._ending.error else
+            self._was_stopped or (code < 0 and -code not in CRASHES),
             unheard=(self._started.why_unheard() if self._unheard is None else self._unheard)
             or ('' if self._started.is_traced else '; '.join(self._missed) or _BESIDES),
             missed=self._missed, is_over=self._child.returncode is not None, signal=max(0, -code),
@@ -274,7 +275,8 @@ class Program(Source):
             self._ending = Ending(error=printable(' '.join(ended['error'].split())),
                                   function=ended['function'],
                                   packages=frozenset(ended['packages']),
-                                  python=ended['python'], is_of_thread=ended['thread'])
+                                  python=ended['python'], was_stopped=ended['stopped'],
+                                  is_of_thread=ended['thread'])
             self._openings.is_robbed |= _ROBBED in self._ending.error
         if record.kind == OPENED and record.port not in self.ports:
             self.ports.append(record.port)

@@ -66,7 +66,6 @@ class ProgressLine:
         """Paint the line again, if it is time; now_s: since the start."""
         if self.is_shown and now_s >= self._next_s:
             self._next_s = now_s + self._every_s
-            # A program may print there too: it begins in the first column.
             on_screen(sys.stderr, f'\r{plain(words())[:78]}\033[K\r')
 
     def clear(self) -> None:
