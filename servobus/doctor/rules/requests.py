@@ -22,6 +22,7 @@ from servobus.bus.report import BusReport
 from servobus.bus.report import CONNECTED
 from servobus.bus.report import Cycle
 from servobus.bus.report import DeviceReport
+from servobus.bus.report import PROTOCOL_2
 from servobus.bus.report import RATE_REFUSED
 from servobus.doctor.bad_packets import repeated_bad_packet
 from servobus.doctor.case import Case
@@ -47,6 +48,7 @@ from servobus.doctor.symptom import DAMAGE
 from servobus.doctor.symptom import SILENCE
 from servobus.doctor.thresholds import INCIDENTS_MIN
 from servobus.doctor.thresholds import LONG_WAIT_MS
+from servobus.doctor.thresholds import WINDOW_S
 from servobus.model.control_table import UNKNOWN
 
 EEPROM_WRITES_MIN = 30             # in 10 s: no start-up writes as many
@@ -64,6 +66,8 @@ VAIN_SESSIONS_MIN = 5              # openings of the port
 TAKEN_MIN = 5                      # answers
 TAKEN_MAX_LATER = 1.5              # as many as are taken: after these it did not ask at once
 NO_IDS = (0xFD, 0xFF)
+EEPROM_AGE_MAX_S = 2.0             # written again and again: so long ago at most
+_MODEL_AT = {'Dynamixel 1.0': 0, 'Feetech': 3}        # a Ping of these is answered without it
 _NO_ID = ', which no device can have (0 to 252): correct the ID in its program'
 SENT_MIN_BYTES = 30                # three packets
 SCAN_MIN_PINGS = 15                # broadcast Pings in 10 s: each needs 0.8 s
@@ -464,8 +468,10 @@ def _what_is_unknown(device: DeviceReport, names: Names) -> str:
     registers = 'so registers have no names and some causes cannot be found' \
         if model is UNKNOWN else f'registers that {model.name} share, by what the program uses' \
         if ' and ' in model.name else f'registers as in {model.name}, by what the program uses'
+    how = 'ping the servos' if device.protocol == PROTOCOL_2 else \
+        f'read the model of the servos (2 bytes at {_MODEL_AT.get(device.protocol, "0 or 3")})'
     return f'model not known, {registers}; add ID:MODEL to {names.devices}, or let your ' \
-        'program ping the servos'
+        f'program {how}'
 
 
 def with_models_named(report: BusReport, names: Names) -> BusReport:
@@ -487,10 +493,14 @@ def eeprom_wear(case: Case, device: DeviceReport) -> Found | None:
     count = device.window.eeprom_writes
     if count < EEPROM_WRITES_MIN or device.id in case.gone:
         return None                            # what is silent takes no writes
-    hours = 100_000 / (count / 10) / 3600
-    return Claim(f'EEPROM written {count} times in 10 s: it lasts about 100 000 '
-                 f'writes, {hours:.1f} hours at this rate; write only what changes',
-                 {'writes in 10 s': count})
+    rate = count / min(max(case.heard_s, 1.0), WINDOW_S)
+    names = [one.field.name for one in device.observed if one.source == 'w'
+             and one.field.memory == 'eeprom' and one.age_s < EEPROM_AGE_MAX_S]
+    what = f" ({', '.join(names[:3])})" if names else ''
+    hours = f'{100_000 / rate / 3600:.1g}'
+    return Claim(f'EEPROM written about {float(f"{rate:.1g}"):g} times a second{what}: it lasts '
+                 f'about 100 000 writes, {hours} hours at this rate; write only what changes',
+                 {'writes': count})
 
 
 @Rule(level=Level.OK, onset_s=ACKS_ONSET_S, holds=False,
@@ -515,6 +525,11 @@ def no_acks(case: Case, device: DeviceReport) -> Found | None:
     if not (has_ended or unanswered or device.status_return_level in (0, 1)):
         return None
     shift = -1 if case.report.protocol == FEETECH.name else 0     # its 0 and 1 are 1 and 2 here
+    if has_ended and any(one.acks for one in case.devices):
+        return Doubt('did not acknowledge its first write, as others do, and the program ended '
+                     f'there: it is silent since then, or has Status Return Level {1 + shift}',
+                     device.id, f'ping {device.id:03} alone: if it answers, set its Status Return '
+                     f'Level to {2 + shift}; if not, check its power and plug')
     level = device.status_return_level
     says = f'below {2 + shift}' if level is None else f'{level + shift}'
     return Claim(f'does not acknowledge writes (Status Return Level {says}): '
