@@ -487,6 +487,18 @@ def test_the_first_finding_comes_while_the_program_runs(meeting_place, tmp_path)
     assert 'error, 001: no answer' in answer
 
 
+def test_a_port_that_another_program_reads_is_left_to_it(tmp_path):
+    """Each byte comes to one of two readers: the arm would lose its answers, and fall."""
+    with Pty(str(tmp_path / 'bus')) as pty, subprocess.Popen(
+            [sys.executable, '-c', f"port = open({pty.path!r}, 'rb'); print(); input()"],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as program:
+        program.stdout.readline()
+        refused = doctor(pty.path, '--seconds', '1')
+        program.communicate('\n')
+    assert (refused.returncode, refused.stderr.count('\n')) == (1, 1)
+    assert f'(pid {program.pid}); stop that program, or hear what it does with' in refused.stderr
+
+
 @pytest.mark.realtime(bears=0.02)
 def test_a_stop_hides_no_error_that_was_there_before(meeting_place, tmp_path):
     """People press Ctrl-C where a program has crashed and takes its time to end."""

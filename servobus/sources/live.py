@@ -5,11 +5,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+import os
 import queue
 import sys
 import time
 
 from msg_defs.event import Chunk
+from servobus.port.port_error import PortError
+from servobus.port.port_error import Reason
+from servobus.port.port_users import holders
 from servobus.sources.capture import Wire
 from servobus.sources.capture_recorder import moment
 from servobus.sources.listener import STARTING
@@ -20,9 +24,20 @@ from servobus.sources.source import Source
 from servobus.sources.source_name import bus_name
 from servobus.sources.source_name import has_sides
 from servobus.sources.source_name import rate_of
+from servobus.sources.source_name import ways_to_hear
 
 TICK_S = 0.1
 QUEUED_CHUNKS_MAX = 100_000        # chunks that wait because our output is not taken
+
+
+def _refuse_shared(name: str) -> None:
+    """Raise PortError for a port that a program reads: each would take bytes from the other."""
+    others = [one for one in holders(name) if not (one.is_login or one.is_maker)] \
+        if os.path.exists(name) else []
+    if others:
+        names = ', '.join(one.name for one in others)
+        raise PortError(name, Reason('busy', f'in use by {names}', 'stop that program, or hear '
+                                     f'what it does with {ways_to_hear(name)}'))
 
 
 class LivePort(Source):
@@ -33,6 +48,7 @@ class LivePort(Source):
     def __init__(self, name: str, baud: int | None, tool: str) -> None:
         super().__init__()
         self.began = moment()
+        _refuse_shared(name)
         self._tool = tool                              # who says what happens to the port
         self._bus = bus_name(name)
         self._overrides = baud is not None             # what the source says of the rate
