@@ -706,7 +706,7 @@ def test_an_error_that_any_program_may_raise_is_not_one_of_the_bus():
     assert Ending(code=1, error=error).failed == FAILED
     of_sdk = Ending(code=1, error=error, packages=frozenset({'dynamixel_sdk'}))
     assert of_sdk._replace(function='read4ByteTxRx').failed == RAISED
-    assert of_sdk._replace(function='makeParam').failed == FAILED    # of parameters of its own
+    assert of_sdk._replace(function='makeParam').failed == FAILED    # its own parameters
 
 
 @pytest.mark.parametrize(('error', 'failed'), [

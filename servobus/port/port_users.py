@@ -146,6 +146,14 @@ def tty_of(path: str | Path) -> str:
     return os.path.basename(os.path.realpath(path))
 
 
+def is_terminal(path: str) -> bool:
+    """Tell whether a path is a serial port or a pty."""
+    name = tty_of(path)
+    with suppress(OSError):
+        return os.path.exists(f'/sys/class/tty/{name}') or os.major(os.stat(path).st_rdev) in PTYS
+    return False
+
+
 def file_text(path: Path) -> str:
     """Return what a file holds, '' when it cannot be read."""
     try:

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-import os
 import queue
 import sys
 import time
@@ -14,6 +13,7 @@ from msg_defs.event import Chunk
 from servobus.port.port_error import PortError
 from servobus.port.port_error import Reason
 from servobus.port.port_users import holders
+from servobus.port.port_users import is_terminal
 from servobus.sources.capture import Wire
 from servobus.sources.capture_recorder import moment
 from servobus.sources.listener import STARTING
@@ -33,7 +33,7 @@ QUEUED_CHUNKS_MAX = 100_000        # chunks that wait because our output is not 
 def _refuse_shared(name: str) -> None:
     """Raise PortError for a port that a program reads: each would take bytes from the other."""
     others = [one for one in holders(name) if not (one.is_login or one.is_maker)] \
-        if os.path.exists(name) else []
+        if is_terminal(name) else []
     if others:
         names = ', '.join(one.name for one in others)
         raise PortError(name, Reason('busy', f'in use by {names}', 'stop that program, or hear '

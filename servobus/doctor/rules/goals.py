@@ -311,13 +311,11 @@ def torque_off(case: Case, device: DeviceReport) -> Found | None:
         return Claim('goals leave its position on both sides or repeatedly, and it '
                      f'does not move: {first}, or check its motor and what '
                      'blocks it', rests_on=_MOTION)
-    if (torque is None or torque.source == 'w') and is_watched(case, device, place) \
-            and _no_joint_moves(case):
-        beyond = '' if place.value.raw <= AX_STEPS or goal is None or goal.value.raw > AX_STEPS \
-            or device.model.protocol != '1' else '; or it has other registers, as a Feetech ' \
-            f'servo: position {place.value.raw} is beyond the {AX_STEPS} of an AX'
-        return Claim('its goals change, and no joint moves: write 1 to Torque Enable, check the '
-                     f'supply of the motors{beyond}', rests_on=_MOTION)
+    if device.model.protocol == '1' and place.value.raw > AX_STEPS and _no_joint_moves(case):
+        return Claim('goals change, and no joint moves; its position '
+                     f'{place.value.raw} is beyond the {AX_STEPS} of an AX: a Feetech servo has '
+                     'its goal at 42 and its position at 56; if it is an MX, write 1 to Torque '
+                     'Enable', rests_on=_MOTION)
     if may_hold or (
             torque is not None and torque.value.raw and not absences(case, device)):
         return None                    # it is on, so something holds it, or it is where it can be
@@ -479,12 +477,13 @@ def _others_move(case: Case, device: DeviceReport, samples: list[Sample]) -> boo
 
 
 def _no_joint_moves(case: Case) -> bool:
-    """Tell whether the goals of several joints change all the time, and none has ever moved."""
+    """Tell whether goals within the steps of an AX change all the time, and no joint moved yet."""
     driven = [samples for number in case.samples
               if len(samples := [*case.samples[number]]) > STILL_MIN_REPORTS
               and span([one.goal for one in samples]) >= GOAL_MOVES_STEPS]
-    return len(driven) > 1 and case.turned.isdisjoint(case.samples) and all(
+    return len(driven) > 1 and all(
         0 <= span([one.position for one in samples]) <= STILL_MAX_STEPS
+        and max(one.goal or 0 for one in samples) <= AX_STEPS
         and sum(one.goal != two.goal for one, two in pairwise(samples)) >= GOAL_CHANGES_MIN
         for samples in driven)
 
