@@ -52,6 +52,7 @@ from servobus.sources.capture import Wire
 from servobus.sources.capture import Writer
 from servobus.tools.doctor import explain
 from servobus.tools.doctor import issue_report
+from servobus.tools.doctor import machine
 from servobus.tools.doctor.answer_screen import screen
 from servobus.tools.doctor.error_window import ErrorWindow
 from servobus.tools.doctor.program_source import Ending
@@ -803,6 +804,28 @@ def test_a_report_says_nothing_of_its_maker(reported):
     assert 'left_knee' in text
     for secret in ('secret', str(path.parent), socket.gethostname(), os.path.expanduser('~')):
         assert secret not in text, secret
+
+
+BY_ID = '/dev/serial/by-id/usb-FTDI_USB__-__Serial_Converter_FT4THVAB-if00-port0'
+
+
+@pytest.mark.parametrize('port, name', [
+    ('/dev/ttyUSB0', 'ttyUSB0'), ('/dev/ttyAMA10', 'ttyAMA10'), ('/dev/ttymxc2', 'ttymxc2'),
+    ('/dev/pts/3', 'pts/3'), ('COM3', 'COM3'), (BY_ID, 'a port'), ('/dev/FT4THVAB', 'a port'),
+    ('/dev/cu.usbserial-FT4THVAB', 'a port'), ('/dev/ttyFT4THVAB', 'a port')])
+def test_the_name_of_a_port_in_a_report_has_no_serial_number(port, name):
+    assert machine.plain_name(port, False) == name
+    assert machine.plain_name(f'usb:{port}', False) == f'usb:{name}'
+    assert machine.adapters([port], False)[0].startswith(f'{name}: ')
+
+
+def test_a_report_names_the_port_that_a_link_leads_to(tmp_path, monkeypatch):
+    link = tmp_path / 'usb-FTDI_FT4THVAB'
+    link.symlink_to('/dev/pts/3')
+    monkeypatch.setattr(machine, 'device', lambda source: source)      # as if below /dev
+    assert machine.plain_name(str(link), False) == 'pts/3'
+    link.unlink()
+    assert machine.plain_name(str(link), False) == 'a port'
 
 
 def test_the_devices_of_a_report_are_of_its_buses(tmp_path):

@@ -3,8 +3,9 @@
 """
 The computer of a source, for a report: versions, system, adapter. It looks only.
 
-What identifies a person (host and user name, serial number, paths, command line) comes from
-host() alone, for those who ask for it.
+What identifies a person is for those who ask for it: host and user name, paths and command line
+come from host(), serial numbers from adapters(). A port has its name only where the kernel or
+Windows gave it: links and macOS put a serial number into it.
 """
 
 from __future__ import annotations
@@ -22,12 +23,12 @@ import socket
 
 from serial.tools import list_ports
 
-from servobus.port.port_users import tty_of
 from servobus.sources.serial_driver import SYS
 from servobus.sources.source_name import PREFIXES
 
 _PACKAGES = ('mecarover_serial', 'dxl-doctor', 'pyserial', 'crcmod-plus', 'dynamixel-sdk',
              'feetech-servo-sdk', 'lerobot', 'pypot')
+_NUMBERED = re.compile(r'[/\\](tty(?:[A-Z]{1,5}|mxc)\d{1,3}|pts/\d+|COM\d+)$')
 
 
 def system() -> list[str]:
@@ -53,9 +54,15 @@ def plain_name(source: str, is_program: bool) -> str:
         return 'a program that was run'
     prefix = next(filter(source.startswith, PREFIXES), '')
     if port := device(source):
-        return prefix + tty_of(port)
+        return prefix + _plain_port(port)
     scheme, mark, _ = source.partition('://')
     return prefix or (scheme + mark if mark else 'a file')
+
+
+def _plain_port(port: str) -> str:
+    """Return the name of a port that is no secret; a link to one that has gone leads nowhere."""
+    name = _NUMBERED.search(os.path.realpath(port))
+    return name[1] if name else 'a port'
 
 
 def adapters(ports: Sequence[str], with_serial: bool) -> list[str]:
@@ -65,8 +72,7 @@ def adapters(ports: Sequence[str], with_serial: bool) -> list[str]:
 
 
 def _adapter(port: str, known: dict[str, list_ports.ListPortInfo], with_serial: bool) -> str:
-    name = os.path.basename(port)
-    tty = SYS / 'class/tty' / name / 'device'
+    tty = SYS / 'class/tty' / os.path.basename(port) / 'device'
     parts = []
     info = known.get(port)
     if info is not None and info.vid is not None:
@@ -78,7 +84,7 @@ def _adapter(port: str, known: dict[str, list_ports.ListPortInfo], with_serial: 
         parts.append(f'driver {(tty / "driver").resolve().name}')
     with suppress(OSError):
         parts.append(f'latency timer {(tty / "latency_timer").read_text().strip()} ms')
-    return f'{name}: {", ".join(parts) or "no USB adapter"}'
+    return f'{_plain_port(port)}: {", ".join(parts) or "no USB adapter"}'
 
 
 def host(source: str, command: Sequence[str]) -> list[str]:
