@@ -81,13 +81,13 @@ def open_server(options: argparse.Namespace, source: str = '',
         print(f'{NAME}: {error.name} is not installed; sudo apt install python3-aiohttp, or pip '
               "install 'mecarover_serial[dashboard]'", file=sys.stderr)
         return None
+    recording, without = open_history(options.history)
+    if recording is None and options.history not in (None, NONE):
+        return None
     host, port = listener.getsockname()[:2]
     is_open = not is_loopback(host)
     # A program that is started has stdout for itself.
     print(announcement(host, port, is_open), flush=True, file=sys.stderr if source else None)
-    recording, without = open_history(options.history)
-    if recording is None and options.history not in (None, NONE):
-        return None
     about = facts(host, port, without) | ({'source': printable(source)} if source else {})
     return Server(listener, about, is_open, recording, options.name, player, signals)
 

@@ -349,6 +349,17 @@ def test_a_port_in_use_is_one_line_with_a_remedy(more):
                              'dashboard, or choose another port with --port']
 
 
+def test_where_the_history_cannot_be_opened_no_address_is_announced(capsys, tmp_path):
+    from mecarover_dashboard.serve import make_parser
+    from mecarover_dashboard.serve import open_server
+    (tmp_path / 'file').touch()
+    history = str(tmp_path / 'file/history.sqlite')
+    assert open_server(make_parser().parse_args(['--port', '0', '--history', history])) is None
+    out, err = capsys.readouterr()
+    assert out == ''
+    assert err.startswith('dxl_dashboard: no history: ') and history in err
+
+
 def test_opening_to_the_network_is_said():
     from mecarover_dashboard.serve import announcement
     assert 'this machine only' in announcement('127.0.0.1', 8420, False)
