@@ -78,9 +78,9 @@ class _Changes:
     def __init__(self, kind: _LogKind) -> None:
         self._kind = kind
         self._logged: set[int] = set()
-        self._new: tuple[set[int], set[int]] = set(), set()     # begun, over
+        self._new: set[int] = set()        # begun or over, and not logged
         self._first = self._last = 0       # since when there is something new, and the newest
-        self._lines = float(LINES_AT_ONCE)
+        self._lines = float(LINES_AT_ONCE)  # that may be written now; parts of one come back
         self._now = 0
 
     def words(self, report: BusReport) -> str:
@@ -91,20 +91,20 @@ class _Changes:
         here = self._in_trouble(report)
         devices = {one.id: one for one in report.devices}
         self._logged &= set(devices)       # the statistics were reset: all begins again
-        over = {one for one in self._logged - set(here) if self._kind.is_over(devices[one])}
-        before, self._new = self._new, (set(here) - self._logged, over)
-        if not any(self._new):
+        before, self._new = self._new, {one for one in self._logged ^ set(here)
+                                        if one in here or self._kind.is_over(devices[one])}
+        if not self._new:
             return ''
-        if not any(before):
+        if not before:
             self._first = now
         if self._new != before:
             self._last = now
         if (now - self._last < TOGETHER_NS and now - self._first < WAIT_NS) or self._lines < 1:
             return ''
-        begun, over = self._new
+        begun, over = self._new - self._logged, self._new & self._logged
         self._lines -= 1
-        self._logged = (self._logged | begun) - over
-        self._new = set(), set()
+        self._logged ^= self._new
+        self._new = set()
         return '; '.join(
             f'{words}: {_names([devices[one] for one in sorted(some)], here)}'
             for words, some in ((self._kind.begin, begun), (self._kind.end, over)) if some)

@@ -84,8 +84,12 @@ class Turnaround(Header):
 class Stray(Effect, is_fault=False):
     """Bytes that belong to no exchange, after some of them."""
 
-    sender = STRAY
     gap = 0                      # bytes of silence in front of them
+
+    @property
+    def sender(self) -> int:
+        """Who sends them."""
+        return STRAY
 
     def stray(self, exchange: Exchange) -> Iterator[Burst]:
         if self.rng.random() < SOMETIMES:
@@ -121,8 +125,11 @@ class Noise(Flip, Stray):
 class Foreign(Stray):
     """A status that no instruction asked for."""
 
+    @property
+    def sender(self) -> int:
+        return self.device.id
+
     def data(self) -> bytes:
-        self.sender = self.device.id
         return self.line.status_wire(self.sender, 0, bytes(4))
 
 

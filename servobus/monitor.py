@@ -275,8 +275,7 @@ class Monitor:
         self._next_tick = 0
         self._tracker.planner.plans()          # brings counts up to date that shall end here
         self._evidence.counts.clear()
-        self._base: dict[str, int] = {}
-        self._base = self._counters()
+        self._base = self._counters({})
         self._base['Bytes'] -= self._base.pop('Pending Bytes')     # these are counted again
         self._ticks: deque[tuple[int, Activity]] = deque(maxlen=WINDOW_S)
         self._series = [Series(WINDOW_S) for _ in _SERIES]
@@ -340,7 +339,8 @@ class Monitor:
         return Activity(total('bytes'), total('packets'),
                         sum(map(self.decoder.damaged, REASONS)))
 
-    def _counters(self) -> dict[str, int]:
+    def _counters(self, base: dict[str, int]) -> dict[str, int]:
+        """Return the counts since those of `base`."""
         total = self.decoder.total
         damaged, counts = self.decoder.damaged, self._evidence.counts
         left_out = self._fed - total('bytes')      # where a mistake of ours was
@@ -358,7 +358,7 @@ class Monitor:
             'Unasked Answers': counts[ev.UNASKED] + counts[ev.SECOND_ANSWER] + counts[ev.LATE],
             'Unknown Instructions': counts[ev.UNKNOWN_INSTRUCTION],
         }
-        return {name: n - self._base.get(name, 0) for name, n in now.items()}
+        return {name: n - base.get(name, 0) for name, n in now.items()}
 
     def _rates(self, now: int) -> dict[str, float]:
         since, before = self._ticks[0] if self._ticks else (now, Activity(0, 0, 0))
@@ -372,7 +372,8 @@ class Monitor:
         rates = self._rates(now)
         return BusReport(
             name=self.name, stamp=now, started=self._started, baud=self.decoder.settings.baud,
-            level=Level.OK, message='', devices=(), counters=self._counters(), rates=rates,
+            level=Level.OK, message='', devices=(), rates=rates,
+            counters=self._counters(self._base),
             errors=evidence.errors(self._registry.register_name),
             incidents=tuple(evidence.incidents), waits=tuple(evidence.waits),
             cycles=cycles, metrics=(), noise=self.decoder.noise,

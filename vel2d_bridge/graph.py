@@ -93,7 +93,7 @@ def complaints(choice: Choice, publishers: Sequence[Publisher], topic: str,
 
     `bridges` are others that hear the topic.
     """
-    lines = []
+    lines, heard = [], []
     if bridges:
         lines.append(f"{topic}: {', '.join(bridges)} subscribes it too, so one teleop drives "
                      f'{len(bridges) + 1} rovers; end all bridges but one, or give each rover a '
@@ -107,8 +107,8 @@ def complaints(choice: Choice, publishers: Sequence[Publisher], topic: str,
         elif one.conflict:
             lines.append(f'{topic}: {one.node} is not heard, as its QoS is not compatible '
                          f'({one.conflict}); change its QoS or our qos_overrides')
-    heard = [one.node for one in publishers
-             if TYPE_NAMES.get(one.type) == choice.message_type and not one.conflict]
+        else:
+            heard.append(one.node)
     if len(heard) > 1:
         lines.append(f"{topic}: {len(heard)} publishers compete ({', '.join(sorted(heard))}); "
                      f'stop all but one, or use twist_mux{_KILLED}')

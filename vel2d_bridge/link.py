@@ -259,7 +259,7 @@ class Link:
         mistake: Exception | None = None
         try:
             self._begin(port)
-            while not self._is_finished(port):
+            while not self._is_finished():
                 self._turn(port)
         except Exception as error:
             mistake = error
@@ -294,7 +294,7 @@ class Link:
         self._backoff.reset()
         self._report_change(None)
 
-    def _is_finished(self, port: Port) -> bool:
+    def _is_finished(self) -> bool:
         with self._lock:
             return self._closing is not None and (
                 self._pacer.is_idle() or self._clock() >= self._closing + _CLOSE_NS)
@@ -371,14 +371,14 @@ class Link:
 
     def _pause(self, seconds: float) -> None:
         """Sleep between attempts, with a beating heart; shutting down shortens it."""
-        now = time.monotonic()
-        deadline = now + seconds
+        now = self._clock()
+        deadline = now + int(seconds * SECOND)
         while self._closing is None and now < deadline:
-            self._beat(time.monotonic_ns())
+            self._beat(now)
             before = now
-            self._pipe.sleep(min(deadline - now, BEAT / SECOND))
-            now = time.monotonic()
-            self._overslept |= now - before >= SILENCE / SECOND
+            self._pipe.sleep(min(deadline - now, BEAT) / SECOND)
+            now = self._clock()
+            self._overslept |= now - before >= SILENCE
         if self._closing is not None and not self._is_over():
             time.sleep(_LAST_RETRY_S)
 

@@ -96,6 +96,7 @@ class Listener:
         self._errors_at_opening: LineErrors | None = None
         self._stopping = False
         self._last_news = ''
+        self._words = ''             # how the port was opened
         self._thread_reason = ''     # why no process reads
         self._wake_read, self._wake_write = os.pipe()
         self._thread = threading.Thread(target=self._run, name=f'listener {port}', daemon=True)
@@ -176,7 +177,11 @@ class Listener:
         self._set_open(words)
 
     def _set_open(self, words: str) -> None:
+        self._words = words
         self.state = ListenerState(True, '', f'{self.port}: {words}')
+
+    def _note(self, words: str) -> None:
+        self.state = ListenerState(True, '', f'{self.port}: {self._words}; {words}')
 
     def _listen(self, port: Port) -> None:
         """Have the port read until it is lost (PortError) or we are stopped."""
@@ -184,16 +189,14 @@ class Listener:
         if port.fd is None or self._in_thread:
             self._listen_in_thread(port)
             return
-        words = f'open at {self.baud} baud'
         start = partial(ReaderProcess, port.fd, self.idle_s, reader.GATHER_S, self._wake_read,
                         byte_ns=byte_ns(self.baud))
         while not self._stopping:
             self._thread_reason = self._listen_by_process(
-                words, partial(self._accept_record, port), start)
+                partial(self._accept_record, port), start)
             if self._thread_reason:
-                self._set_open(f'{words}; its reader process did not start '
-                               f'({self._thread_reason}), so the node reads it and may lose '
-                               'bytes under load')
+                self._note(f'its reader process did not start ({self._thread_reason}), so the '
+                           'node reads it and may lose bytes under load')
                 self._listen_in_thread(port, PROCESS_RETRY_NS)
 
     def _listen_in_thread(self, port: Port, ns: float = math.inf) -> None:
@@ -209,7 +212,7 @@ class Listener:
         end = time.monotonic_ns() + ns
         loop.run(lambda: self._stopping or time.monotonic_ns() > end)
 
-    def _listen_by_process(self, words: str, accept_record: Callable[[Record], object],
+    def _listen_by_process(self, accept_record: Callable[[Record], object],
                            start: Callable[[], ReaderProcess]) -> str:
         """Have a process read until we are stopped; return why that cannot be, if so."""
         while not self._stopping:
@@ -220,15 +223,14 @@ class Listener:
             except MemoryError:
                 return 'no memory is left'
             with process:
-                was_ready = self._read_records(process, words, accept_record)
+                was_ready = self._read_records(process, accept_record)
                 if not was_ready and not self._stopping:
                     return f'it ends at once with {process.end()}'
             if not self._stopping:
-                self._set_open(f'{words}; the reader process ended with {process.end()}, a new '
-                               'one continues')
+                self._note(f'the reader process ended with {process.end()}, a new one continues')
         return ''
 
-    def _read_records(self, process: ReaderProcess, words: str,
+    def _read_records(self, process: ReaderProcess,
                       accept_record: Callable[[Record], object]) -> bool:
         """Read records until the process ends or we are stopped; return whether any came."""
         was_ready = False
@@ -240,7 +242,7 @@ class Listener:
                         was_ready = True
                         if self._thread_reason:
                             self._thread_reason = ''
-                            self._set_open(words)
+                            self._set_open(self._words)
                         self.largest_gap = max(self.largest_gap, record.largest_gap)
                         accept_record(record)
                     time.sleep(self._records_every_s)

@@ -22,24 +22,11 @@ from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
 from msg_defs.uart import byte_ns
+from servobus.sources import pcap
 from servobus.sources.capture import BAUD_MAX
 from servobus.sources.capture import change_of
 from servobus.sources.capture import Moment
 from servobus.sources.capture import Wire
-from servobus.sources.pcap import ABOUT
-from servobus.sources.pcap import CapturedPacket
-from servobus.sources.pcap import COMMENT
-from servobus.sources.pcap import ENHANCED
-from servobus.sources.pcap import FLAGS
-from servobus.sources.pcap import INTERFACE
-from servobus.sources.pcap import is_pcap
-from servobus.sources.pcap import LINK_USER0
-from servobus.sources.pcap import NAME
-from servobus.sources.pcap import PcapReader
-from servobus.sources.pcap import RESOLUTION
-from servobus.sources.pcap import SECTION
-from servobus.sources.pcap import SECTION_MAGIC
-from servobus.sources.pcap import SPEED
 from servobus.sources.source import File
 from servobus.sources.source_name import DEFAULT_BAUD
 
@@ -55,7 +42,7 @@ class PacketWriter:
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
         self._interfaces: dict[str, int] = {}
-        self._block(SECTION, struct.pack('<IHHq', SECTION_MAGIC, 1, 0, -1))
+        self._block(pcap.SECTION, struct.pack('<IHHq', pcap.SECTION_MAGIC, 1, 0, -1))
 
     def write(self, wire: Wire, stamp: int, data: bytes, side: str = UNKNOWN,
               comments: Sequence[str] = ()) -> None:
@@ -63,16 +50,16 @@ class PacketWriter:
         number = self._interfaces.get(wire.name)
         if number is None:
             number = self._interfaces[wire.name] = len(self._interfaces)
-            self._block(INTERFACE, struct.pack('<HHI', LINK_USER0, 0, 0) + _options(
-                (NAME, wire.name.encode()), (ABOUT, wire.port.encode()),
-                (SPEED, wire.baud.to_bytes(8, 'little')), (RESOLUTION, _NS_RESOLUTION)))
+            self._block(pcap.INTERFACE, struct.pack('<HHI', pcap.LINK_USER0, 0, 0) + _options(
+                (pcap.NAME, wire.name.encode()), (pcap.ABOUT, wire.port.encode()),
+                (pcap.SPEED, wire.baud.to_bytes(8, 'little')), (pcap.RESOLUTION, _NS_RESOLUTION)))
         options = b''
         if side or comments:
-            options = _options(*((COMMENT, text.encode()) for text in comments),
-                               (FLAGS, _FLAG[side].to_bytes(4, 'little')))
+            options = _options(*((pcap.COMMENT, text.encode()) for text in comments),
+                               (pcap.FLAGS, _FLAG[side].to_bytes(4, 'little')))
         size = len(data)
         head = struct.pack('<IIIII', number, stamp >> 32, stamp & 0xFFFFFFFF, size, size)
-        self._block(ENHANCED, head + _padded(data) + options)
+        self._block(pcap.ENHANCED, head + _padded(data) + options)
 
     @staticmethod
     def comment(change: Change) -> str:
@@ -95,23 +82,23 @@ def _padded(data: bytes) -> bytes:
 
 def holds_packets(begin: bytes) -> bool:
     """Tell whether a file that begins so is one of these."""
-    first = next(iter(PcapReader(BytesIO(begin))), None) if is_pcap(begin) else None
-    return first is not None and first.link == LINK_USER0
+    first = next(iter(pcap.PcapReader(BytesIO(begin))), None) if pcap.is_pcap(begin) else None
+    return first is not None and first.link == pcap.LINK_USER0
 
 
 class PacketFile(File):
     """Such a file as a source."""
 
     def _begin(self) -> None:
-        self._packets = PcapReader(self._file)
+        self._packets = pcap.PcapReader(self._file)
 
     def _read(self) -> Iterator[Chunk]:
         """Yield each packet as a chunk; its stamp is of the last byte, or for OUT of the first."""
         for packet in self._packets:
-            if packet.link == LINK_USER0:
+            if packet.link == pcap.LINK_USER0:
                 yield from self._chunks(packet)
 
-    def _chunks(self, packet: CapturedPacket) -> Iterator[Chunk]:
+    def _chunks(self, packet: pcap.CapturedPacket) -> Iterator[Chunk]:
         stamp, bus = packet.stamp, packet.interface.name
         if not self.began.stamp:
             self.began = Moment(stamp, stamp)
