@@ -45,7 +45,7 @@ from servobus.sources.source_name import bus_name
 from servobus.sources.usb_find import find
 from servobus.sources.usb_port import Place
 from servobus.sources.usb_port import UsbPort
-from servobus.sources.usb_ring import kept_of
+from servobus.sources.usb_ring import wanted_size
 from servobus.sources.usbmon import HEADER_SIZE
 from servobus.tools.start_program import environment
 
@@ -146,7 +146,8 @@ def test_what_the_ring_leaves_out_says_nothing(name):
     ends = frozenset((one.place.bulk_in | 0x80, one.place.bulk_out))
     kept, at = [], 0
     for _, event in cut(whole):
-        size = kept_of(whole, at, one.place.device, ends, 2 if one.adapter.name == 'FTDI' else 0)
+        size = wanted_size(whole, at, one.place.device, ends,
+                           2 if one.adapter.name == 'FTDI' else 0)
         if size >= 0:
             assert HEADER_SIZE + size == len(event)
             kept.append(event)
@@ -161,10 +162,10 @@ def test_what_the_ring_leaves_out_says_nothing(name):
 def test_other_devices_are_never_copied():
     adapter = FakeAdapter('ftdi')
     event = adapter.sent(b'password', BEGAN)
-    assert kept_of(event, 0, 7, frozenset((0x81, 2)), 2) == 8
-    assert kept_of(event, 0, 6, frozenset((0x81, 2)), 2) == -1
-    assert kept_of(event, 0, 7, frozenset((0x83, 4)), 2) == -1
-    assert kept_of(adapter.idle(BEGAN), 0, 7, frozenset((0x81, 2)), 2) == -1
+    assert wanted_size(event, 0, 7, frozenset((0x81, 2)), 2) == 8
+    assert wanted_size(event, 0, 6, frozenset((0x81, 2)), 2) == -1
+    assert wanted_size(event, 0, 7, frozenset((0x83, 4)), 2) == -1
+    assert wanted_size(adapter.idle(BEGAN), 0, 7, frozenset((0x81, 2)), 2) == -1
 
 
 def test_what_was_seen_is_let_go_and_what_found_no_room_is_counted(monkeypatch):

@@ -187,19 +187,18 @@ class Listener:
         """Have the port read until it is lost (PortError) or we are stopped."""
         self.listened = time.monotonic_ns()
         if port.fd is None or self._in_thread:
-            self._listen_in_thread(port)
+            self._read_in_thread(port)
             return
         start = partial(ReaderProcess, port.fd, self.idle_s, reader.GATHER_S, self._wake_read,
                         byte_ns=byte_ns(self.baud))
         while not self._stopping:
-            self._thread_reason = self._listen_by_process(
-                partial(self._accept_record, port), start)
+            self._thread_reason = self._read_by_process(partial(self._accept_record, port), start)
             if self._thread_reason:
                 self._note(f'its reader process did not start ({self._thread_reason}), so the '
                            'node reads it and may lose bytes under load')
-                self._listen_in_thread(port, PROCESS_RETRY_NS)
+                self._read_in_thread(port, PROCESS_RETRY_NS)
 
-    def _listen_in_thread(self, port: Port, ns: float = math.inf) -> None:
+    def _read_in_thread(self, port: Port, ns: float = math.inf) -> None:
         def wait(seconds: float) -> bool:
             return port.wait(seconds, self._wake_read)
 
@@ -212,8 +211,8 @@ class Listener:
         end = time.monotonic_ns() + ns
         loop.run(lambda: self._stopping or time.monotonic_ns() > end)
 
-    def _listen_by_process(self, accept_record: Callable[[Record], object],
-                           start: Callable[[], ReaderProcess]) -> str:
+    def _read_by_process(self, accept_record: Callable[[Record], object],
+                         start: Callable[[], ReaderProcess]) -> str:
         """Have a process read until we are stopped; return why that cannot be, if so."""
         while not self._stopping:
             try:

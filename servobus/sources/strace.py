@@ -25,12 +25,12 @@ from servobus.sources.tap_sender import PORT
 
 START_S = 5.0                      # within which strace opens the pipe
 _ABSENT = [f'/dev/tty{kind}{number}' for kind in ('USB', 'ACM') for number in range(16)]
-_RING, _USB = 'anon_inode:[io_uring]', '/dev/bus/usb/'
+_IO_URING, _USBFS = 'anon_inode:[io_uring]', '/dev/bus/usb/'
 _NOT_HEARD = {
-    _RING: 'the program uses io_uring: what it reads and writes that way is not heard; if that is '
-           'the bus, listen to usb:/dev/ttyUSB0',
-    _USB: 'the program drives a USB device itself (libusb), which is not heard; if that is the '
-          'adapter, listen to usb:1.5 (bus 1, device 5: lsusb shows the numbers)',
+    _IO_URING: 'the program uses io_uring: what it reads and writes that way is not heard; if '
+               'that is the bus, listen to usb:/dev/ttyUSB0',
+    _USBFS: 'the program drives a USB device itself (libusb), which is not heard; if that is the '
+            'adapter, listen to usb:1.5 (bus 1, device 5: lsusb shows the numbers)',
 }
 _PRIORITY = ('the program has threads with real-time priority: while it uses {} they wait for '
              'strace, which has none; do not rely on its timing')

@@ -83,7 +83,7 @@ class UsbListener(Listener):
     def _read(self, words: str, fd: int, usb: tuple[int, ...]) -> None:
         """Have a process read; raise PortError when the adapter or the stream has gone."""
         self._opened(words)
-        problem = self._listen_by_process(self._accept_usb_record, partial(
+        problem = self._read_by_process(self._accept_usb_record, partial(
             ReaderProcess, fd, self.idle_s, reader.GATHER_LONGEST_S,       # events have stamps
             self._wake_read, usb))
         if problem:

@@ -27,6 +27,7 @@ from servobus.sources.usbmon import BULK
 from servobus.sources.usbmon import CONTROL
 from servobus.sources.usbmon import DONE
 from servobus.sources.usbmon import FRONT
+from servobus.sources.usbmon import header_key
 from servobus.sources.usbmon import HEADER_SIZE
 from servobus.sources.usbmon import INPUT
 from servobus.sources.usbmon import INTERRUPT
@@ -34,7 +35,6 @@ from servobus.sources.usbmon import KILLED
 from servobus.sources.usbmon import SUBMITTED
 from servobus.sources.usbmon import UNPLUGGED
 from servobus.sources.usbmon import UsbEvent
-from servobus.sources.usbmon import what_key
 
 PENDING_TRANSFERS_MAX = 256        # transfers under way; a driver has 16 at most
 
@@ -74,8 +74,8 @@ class UsbPort:
                        (place.bulk_out, True): _SENT}
         # The same by the 8 bytes of a header that tell it.
         self._kinds = {
-            what_key(DONE if is_done else SUBMITTED, endpoint, place.device, place.bus,
-                     ord('>') if side is _SENT else 0): side
+            header_key(DONE if is_done else SUBMITTED, endpoint, place.device, place.bus,
+                       ord('>') if side is _SENT else 0): side
             for (endpoint, is_done), side in self._sides.items()}
 
     def skim(self, data: bytes, at: int, decoded: list[Chunk]) -> int:

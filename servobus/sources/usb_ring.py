@@ -37,8 +37,8 @@ class _Fetch(ctypes.Structure):
 _FETCH = 3 << 30 | ctypes.sizeof(_Fetch) << 16 | 0x92 << 8 | 7
 
 
-def kept_of(events: bytes | mmap.mmap, at: int, device: int, endpoints: frozenset[int],
-            idle: int) -> int:
+def wanted_size(events: bytes | mmap.mmap, at: int, device: int, endpoints: frozenset[int],
+                idle: int) -> int:
     """
     Return how many bytes after the header at this place are wanted, -1 where it says nothing.
 
@@ -62,7 +62,7 @@ def kept_of(events: bytes | mmap.mmap, at: int, device: int, endpoints: frozense
 
 class Ring:
     """
-    The ring of an open descriptor; device, endpoints and idle as for kept_of().
+    The ring of an open descriptor; device, endpoints and idle as for wanted_size().
 
     dropped: events that the kernel had no room for, since the last time they were taken.
     """
@@ -84,7 +84,7 @@ class Ring:
         found = []
         while count := self._fetch():
             for offset in self._offsets[:count]:
-                kept = kept_of(self._map, offset, self._device, self._endpoints, self._idle)
+                kept = wanted_size(self._map, offset, self._device, self._endpoints, self._idle)
                 if kept >= 0:
                     found.append(self._map[offset:offset + HEADER_SIZE + kept])
             self._seen = count

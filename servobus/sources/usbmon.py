@@ -27,10 +27,10 @@ HEADER_SIZE = 64
 OLD_HEADER_SIZE = 48
 SETUP_SIZE = 8
 EVENT_MAX_BYTES = 1 << 24          # bytes of one event; the kernel keeps less than 256 KiB
-_WHAT = 'BBBBHBB'                  # kind, transfer, endpoint, device, bus, two flags
-_HEADER = f'Q{_WHAT}qiiII8s'        # the first 48 bytes; 16 more follow in the newer form
+_KEY_FORMAT = 'BBBBHBB'            # kind, transfer, endpoint, device, bus, two flags
+_HEADER = f'Q{_KEY_FORMAT}qiiII8s'  # the first 48 bytes; 16 more follow in the newer form
 _HEADERS = {'<': struct.Struct('<' + _HEADER), '>': struct.Struct('>' + _HEADER)}
-# The same up to the setup: number, what_key(), seconds, us, status, size, kept bytes.
+# The same up to the setup: number, header_key(), seconds, us, status, size, kept bytes.
 FRONT = struct.Struct('<QQqiiII')
 _PCAP_HEAD = struct.Struct('<HQIHBHHBBI')
 _SETUP_STAGE = 0
@@ -79,10 +79,10 @@ def decode(packet: bytes, order: str = '<', header_size: int = HEADER_SIZE) -> U
     return _event(fields, packet[header_size:header_size + fields[12]])
 
 
-def what_key(kind: int, endpoint: int, device: int, bus: int, data_flag: int) -> int:
+def header_key(kind: int, endpoint: int, device: int, bus: int, data_flag: int) -> int:
     """Return the 8 bytes that say what an event of a bulk transfer is about, as FRONT has them."""
-    return int.from_bytes(struct.pack(f'<{_WHAT}', kind, BULK, endpoint, device, bus, ord('-'),
-                                      data_flag), 'little')
+    return int.from_bytes(struct.pack(f'<{_KEY_FORMAT}', kind, BULK, endpoint, device, bus,
+                                      ord('-'), data_flag), 'little')
 
 
 def _event(fields: tuple[Any, ...], data: bytes) -> UsbEvent:
