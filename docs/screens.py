@@ -81,7 +81,7 @@ def show(name: str) -> str:
         examination.feed_chunk(chunk, Wire(chunk.bus, BAUD))
         ports[chunk.bus] = None
     now = chunk.stamp
-    ending = Ending(bool(run.error), run.error, frozenset(['lerobot']))
+    ending = Ending(bool(run.error), run.error, packages=frozenset(['lerobot']))
     examination.finish(examination.last, True, ending.failed)
     said = make_verdict(run.source, examination.buses(True), now / S - 1, True, (), [*ports],
                         ending.trouble())
