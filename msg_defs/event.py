@@ -37,7 +37,11 @@ CHANGES = (BAUD, LATENCY_TIMER, DTR, RTS, PURGED, OVERRUN, PARITY, FRAMING, BREA
 
 
 class Change(NamedTuple):
-    """What a source reports besides bytes: one of the names above and its value."""
+    """
+    An event that a source reports besides bytes: one of the names above and its value.
+
+    Not all change a state, as the rate does: parity errors and a closed port are such events, too.
+    """
 
     what: str
     value: int

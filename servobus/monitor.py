@@ -49,7 +49,7 @@ from servobus.joints import Joints
 from servobus.model import control_table
 from servobus.model.layers import model_key
 from servobus.model.layout import is_contradicted
-from servobus.model.layout import Layouts
+from servobus.model.layout import ModelGuesses
 from servobus.model.layout import NOWHERE
 from servobus.model.models import Models
 from servobus.signals import BusSignals
@@ -101,7 +101,7 @@ class Monitor:
         self.settings = settings
         self._clock = clock
         self._models = models
-        self._layouts = Layouts(models)
+        self._guesses = ModelGuesses(models)
         self._lock = Lock()
         self._names = names
         self.doctor = Doctor(settings, names)
@@ -235,7 +235,7 @@ class Monitor:
                 report.model, ((one.field, one.value) for one in observed), report.errors):
             with self._lock:
                 device.used.add(NOWHERE)
-                self._registry.set_layout(device, control_table.UNKNOWN)
+                self._registry.assume_model(device, control_table.UNKNOWN)
             return self._device_report(device, now)
         return report._replace(observed=observed,
                                unobserved=len(report.model.fields) - len(observed))
@@ -264,11 +264,11 @@ class Monitor:
                         if device.used and device.heard and device.model_number is None]
         for key in keys:
             self._models.get(key)
-        layouts = [(device, self._layouts.find_layout(protocol, used))
+        guesses = [(device, self._guesses.find_model(protocol, used))
                    for device, protocol, used in nameless]
         with self._lock:
-            for device, layout in layouts:
-                self._registry.set_layout(device, layout)
+            for device, model in guesses:
+                self._registry.assume_model(device, model)
 
     def _start_statistics(self, now: int) -> None:
         self._started = now

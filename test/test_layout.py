@@ -16,7 +16,7 @@ from rigs.tables import rows_of
 from servobus.model import layout
 from servobus.model.models import Models
 
-ALL = layout.Layouts(Models())
+ALL = layout.ModelGuesses(Models())
 SERVOS = ALL.servos()
 PROGRAMS = {
     'moves': ('Torque Enable', 'Goal Position', 'Present Position'),
@@ -77,7 +77,7 @@ def test_no_register_is_named_wrongly(left_out, least):
 def test_a_use_says_which_registers_those_are(protocol, used, name, position):
     orders = {'little': layout.LITTLE, 'big': layout.BIG, 'sent_little': layout.SENT_LITTLE,
               'sent_big': layout.SENT_BIG}
-    found = ALL.find_layout(protocol, frozenset(
+    found = ALL.find_model(protocol, frozenset(
         orders.get(one) or tuple(map(int, one.split('+'))) for one in used.split()))
     said = found.by_name.get('Present Position')
     assert (found.name, said.key if said else '') == (name, position)

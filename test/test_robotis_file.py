@@ -11,7 +11,7 @@ from servobus.bus.table import READ
 from servobus.bus.table import Table
 from servobus.model.checked_yaml import ModelError
 from servobus.model.layers import Layers
-from servobus.model.layout import Layouts
+from servobus.model.layout import ModelGuesses
 from servobus.model.models import BUILT_IN
 from servobus.model.models import check_models
 from servobus.model.models import Models
@@ -129,7 +129,7 @@ def test_a_known_device_without_a_number_is_no_mistake(tmp_path):
 
 def test_the_registers_of_an_unknown_servo_do_not_depend_on_it(tmp_path):
     used = frozenset({(64, 1), (116, 4), (132, 4)})
-    own, plain = (Layouts(models).find_layout('2', used)
+    own, plain = (ModelGuesses(models).find_model('2', used)
                   for models in (Models([write(tmp_path)]), Models()))
     assert list(own.by_name) == list(plain.by_name) != []
 

@@ -18,7 +18,8 @@ from servobus.errors import ParameterError
 MAX_ID = 252                       # in Protocol 2.0
 MAX_ID_1 = 253                     # in the 1.0 family
 _ENTRY = re.compile(r'\s*(\d+)\s*(?:-\s*(\d+)\s*)?(?::([^:]*))?(?::([^:]*))?')
-_BUS = re.compile(r'(.*?)/(\s*\d+\s*(?:[-:,].*)?)', re.DOTALL)    # a joint may have a slash too
+# A joint may have a slash, too.
+_BUS_AND_ENTRY = re.compile(r'(.*?)/(\s*\d+\s*(?:[-:,].*)?)', re.DOTALL)
 _EXAMPLES = "write ID:MODEL:JOINT, e.g. '11:MX-106:left_knee', '1-20:MX-64' or '30'"
 
 
@@ -32,7 +33,7 @@ class Expected(NamedTuple):
 
 def split_bus(entry: str) -> tuple[str, str]:
     """Return the bus that an entry 'BUS/ID:MODEL:JOINT' names, '' for none, and the rest."""
-    match = _BUS.fullmatch(entry)
+    match = _BUS_AND_ENTRY.fullmatch(entry)
     return (match[1], match[2]) if match else ('', entry)
 
 

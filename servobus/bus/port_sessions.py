@@ -31,8 +31,8 @@ class PortSessions:
             return
         if answered < opened:
             if stamp - opened < SHORT_NS:
-                self._evidence.add_incident(stamp, ev.VAIN_SESSION, ev.NO_DEVICE)
+                self._evidence.add_incident(stamp, ev.SESSION_UNANSWERED, ev.NO_DEVICE)
         elif size <= QUESTION_MAX_BYTES and asked - opened >= SOON_NS:
-            self._evidence.add_incident(stamp, ev.ANSWERED_LATER, ev.NO_DEVICE)
+            self._evidence.add_incident(stamp, ev.SESSION_ANSWERED_LATE, ev.NO_DEVICE)
         else:
-            self._evidence.counts[ev.ANSWERED_SOON] += 1
+            self._evidence.counts[ev.SESSION_ANSWERED] += 1

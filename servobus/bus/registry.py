@@ -171,12 +171,12 @@ class DeviceRegistry:
         if firmware is not None and field is not None and field.size == 1:
             device.table.store(field.at, device.identity[2:], stamp, READ)
 
-    def set_layout(self, device: Device, layout: Model) -> None:
+    def assume_model(self, device: Device, model: Model) -> None:
         """Give a device of an unknown model the registers that what is used of it speaks for."""
-        if device.model_number is None and device.model is not layout:
-            if layout is UNKNOWN:
+        if device.model_number is None and device.model is not model:
+            if model is UNKNOWN:
                 device.forget_answering()
-            device.set_model(layout)          # plans hold: what they counted is worth more
+            device.set_model(model)           # plans hold: what they counted is worth more
 
     def _read_identity(self, device: Device, address: int, data: bytes, stamp: int) -> None:
         at = device.identity_at - address

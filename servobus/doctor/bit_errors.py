@@ -93,11 +93,11 @@ def expected_packets(report: BusReport) -> tuple[ExpectedPacket, ...]:
         size = sizes.get(code, cycle.length)
         if size <= longest and (code in (Instruction.READ, Instruction.SYNC_READ)
                                 or (code in sizes and len(cycle.ids) == 1)):
-            found.update((_status(number, size, is_2), None) for number in cycle.ids)
+            found.update((_expected_status(number, size, is_2), None) for number in cycle.ids)
     return tuple(found)
 
 
-def _status(number: int, size: int, is_2: bool) -> ExpectedPacket:
+def _expected_status(number: int, size: int, is_2: bool) -> ExpectedPacket:
     if is_2:
         length = (size + 4).to_bytes(2, 'little')
         return ExpectedPacket(HEADER + bytes((number, *length, STATUS)), size + 11, number)

@@ -191,7 +191,7 @@ def fatal_late_answer(case: Case) -> Incident[ev.Lateness] | None:
                  and asked and one.stamp > asked[-1]), None)
 
 
-def gives_up_at_once(case: Case) -> int:
+def count_early_ends(case: Case) -> int:
     """Return how many of the last waits ended before any answer could come, 0 if not most."""
     waits = case.waits(WAITS_WINDOW_S)
     hasty = [one.us for one in waits if not one.is_spoilt and one.instruction not in WRITES]
@@ -201,7 +201,7 @@ def gives_up_at_once(case: Case) -> int:
     return len(hasty) if median(hasty) < FACTORY_DELAY_US else 0
 
 
-def reads_too_soon(case: Case) -> int:
+def count_early_reads(case: Case) -> int:
     """Return how often a program read before any answer could come, 0 if it mostly waits."""
     waits = [one.us for one in case.waits(WAITS_WINDOW_S) if one.us
              and one.instruction not in WRITES] if case.has_sides else []

@@ -1,9 +1,10 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What the doctor reported of one bus while it listened, from the first report to the last. Pure.
+What the doctor reported of one bus, from the first report to the last, for the end of a run. Pure.
 
-A fault of two seconds is still worth a word at the end. What a later finding accounts for is not.
+A fault of two seconds is still worth a word at the end. What a later finding accounts for is not,
+nor the silence of a bus that answers at a rate that was tried since.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ class FindingLog:
 
     def __init__(self) -> None:
         self._entries: dict[_Key, LoggedFinding] = {}
-        self._rates = 0                # how many were tried when nothing answered
+        self._rates_tried = 0          # how many were tried when nothing answered
         self.last: BusReport | None = None
 
     def add_report(self, report: BusReport) -> None:
@@ -51,8 +52,9 @@ class FindingLog:
         self._entries = {key: one._replace(stands=False, read_s=None)
                          for key, one in self._entries.items()}
         if _SILENT in reported:
-            self._rates = self._rates if _SILENT in self._entries else len(report.tried)
-        elif report.is_answered and len(report.tried) > self._rates:
+            if _SILENT not in self._entries:
+                self._rates_tried = len(report.tried)
+        elif report.is_answered and len(report.tried) > self._rates_tried:
             self._entries.pop(_SILENT, None)           # it searched, and has found them
         for key, finding in reported.items():
             before = self._entries.get(key)

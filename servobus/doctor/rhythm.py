@@ -318,12 +318,12 @@ def _timers(stamps: Sequence[int], blur_ns: float, least: float = 0.0) -> Iterat
         # Fitted to its stamps a period becomes shorter, but by less than its slack.
         if stamps[-1] / (1 - 1 / TIMER_MIN_TOLERANCES) < (least - 1) * period:
             return
-        timer = _timer(stamps, float(period), blur_ns)
+        timer = _fit_timer(stamps, float(period), blur_ns)
         if timer is not None and len(timer.places) >= least:
             yield timer
 
 
-def _timer(stamps: Sequence[int], period: float, blur_ns: float) -> PeriodicTimer | None:
+def _fit_timer(stamps: Sequence[int], period: float, blur_ns: float) -> PeriodicTimer | None:
     """Return the timer of about this period from the first stamp, 0, on, None where none is."""
     places, periods = [0], 0
     due = period

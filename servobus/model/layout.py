@@ -58,15 +58,15 @@ REFUSALS_NEEDED = 3
 _WRONG_TABLE = (5, 7)              # error numbers: data length, access
 
 
-class Layouts:
-    """The layouts of all servos that are known; their files are read when first asked."""
+class ModelGuesses:
+    """Finds a model for such a device, in the tables of all servos; these are read when asked."""
 
     def __init__(self, models: Models) -> None:
         self._models = models
         self._servos: list[Model] = []
         self._known: dict[tuple[str, frozenset[Use]], Model] = {}
 
-    def find_layout(self, protocol: str, used: frozenset[Use]) -> Model:
+    def find_model(self, protocol: str, used: frozenset[Use]) -> Model:
         """Return the registers of a device with which a program does that; or UNKNOWN."""
         found = self._known.get((protocol, used))
         if found is None:

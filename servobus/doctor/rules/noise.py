@@ -31,12 +31,12 @@ from servobus.bus.report import DeviceReport
 from servobus.doctor.bit_errors import cut_packets
 from servobus.doctor.bit_errors import expected_packets
 from servobus.doctor.case import Case
-from servobus.doctor.facts import gives_up_at_once
+from servobus.doctor.facts import count_early_ends
+from servobus.doctor.facts import count_early_reads
 from servobus.doctor.facts import is_collision
 from servobus.doctor.facts import is_overlaid
 from servobus.doctor.facts import may_overlap
 from servobus.doctor.facts import ran_into_answers
-from servobus.doctor.facts import reads_too_soon
 from servobus.doctor.rule import about
 from servobus.doctor.rule import all_ids
 from servobus.doctor.rule import Claim
@@ -60,8 +60,8 @@ NOISE_MIN_SHARE = 0.001            # share of all packets
 # and runs into one packet in a thousand; one that shares the bus all the time hits more. Where the
 # sides are known its instructions would have been seen.
 NOISE_SURE_MIN_SHARE = 0.002
-STRAY_MIN_PACKETS = 5              # after a stray byte
-STRAY_MIN_SHARE = 0.001            # share of all packets
+STRAY_PACKETS_MIN = 5              # after a stray byte
+STRAY_PACKETS_MIN_SHARE = 0.001    # share of all packets
 ONE_DEVICE_MIN_SHARE = 0.7         # share of the damage: it is that of one device
 BOTH_WAYS_MIN_SHARE = 0.2          # share of the damage, in instructions: both directions suffer
 DAMAGE_ONSET_S = 1.0               # by then it has shown whether something else does it
@@ -135,7 +135,7 @@ def wrong_baud(case: Case) -> Claims:
             and all(device.last_heard_s is None for device in report.devices):
         got, good, rate_of = got - good, 0, 'the rate of the program'    # what that sends is whole
     if not report.is_answered or got < max(WRONG_BAUD_MIN_BYTES, good / PACKETS_BY_CHANCE) \
-            or case.count(ev.PROTOCOL_1) or gives_up_at_once(case) or reads_too_soon(case):
+            or case.count(ev.PROTOCOL_1) or count_early_ends(case) or count_early_reads(case):
         return
     rate = likely_rate(report.noise, report.baud)
     remedy = f'the bytes look like {rate} Bd: set {rate_of} to it' if rate else \
@@ -598,7 +598,7 @@ def turnaround(case: Case) -> Claims:
                     f'{len(first)} devices: the line switches too late; raise Return Delay '
                     'Time or correct the driver enable',
                     {'answers': total,
-                     'packets with a stray byte': case.increase_of('glitches'),
+                     'packets with a stray byte': case.increase_of('stray_packets'),
                      'devices': all_ids(first)})
         return
     for device in hit:
@@ -770,8 +770,8 @@ def stray_bytes(case: Case) -> Claims:
 
     Do: add bias resistors.
     """
-    stray = case.increase_of('glitches')
-    if stray >= STRAY_MIN_PACKETS and stray > STRAY_MIN_SHARE * case.packets:
+    stray = case.increase_of('stray_packets')
+    if stray >= STRAY_PACKETS_MIN and stray > STRAY_PACKETS_MIN_SHARE * case.packets:
         yield Claim(f'one or two stray bytes before {share(stray, case.packets)} of the packets: '
                     'driver enable switches late or the line floats; add bias resistors',
                     {'packets': stray})

@@ -62,7 +62,7 @@ STOPPED_WARN_S = 10.0              # a shorter pause may be meant
 WORKED_MIN_S = 2.5                 # a program that ran so long has stopped; a command is done
 _READ_WRONGLY = {ev.STUFFED, ev.SPLIT, ev.TAKEN_FOR, ev.STALE}
 _HUNG_UP = {5: 'Input/output error', 6: 'No such device or address', 19: 'No such device'}
-VAIN_SESSIONS_MIN = 5              # openings of the port
+UNANSWERED_SESSIONS_MIN = 5              # openings of the port
 TAKEN_MIN = 5                      # answers
 TAKEN_MAX_LATER = 1.5              # as many as are taken: after these it did not ask at once
 NO_IDS = (0xFD, 0xFF)
@@ -82,7 +82,7 @@ NO_BULK_READ = ('AX', 'RX', 'EX', 'DX')
 _FAST_SINCE = (((30, 311, 321), 256), (range(1190, 1250), 46), (range(1000, 1400), 45),
                (range(2000, 2130), 12))
 # Addresses of other series that programs use by mistake (e-Manual), with their registers.
-_ELSEWHERE = {address: (name, series) for series, names in (
+_OTHER_SERIES = {address: (name, series) for series, names in (
     ('PRO', {562: 'Torque Enable', 596: 'Goal Position', 600: 'Goal Velocity',
              604: 'Goal Torque', 611: 'Present Position', 615: 'Present Velocity'}),
     ('P', {512: 'Torque Enable', 552: 'Goal Velocity', 564: 'Goal Position',
@@ -168,15 +168,15 @@ def port_reopened(case: Case) -> Claims:
     Do: open it once, wait 2 s.
     """
     kinds = case.report.kinds
-    if ev.VAIN_SESSION not in kinds or kinds[ev.VAIN_SESSION] < VAIN_SESSIONS_MIN \
-            or ev.ANSWERED_SOON in kinds:
+    if ev.SESSION_UNANSWERED not in kinds or ev.SESSION_ANSWERED in kinds \
+            or kinds[ev.SESSION_UNANSWERED] < UNANSWERED_SESSIONS_MIN:
         return
     seen = 'the program opens the port for each question, and none asked at once is ' \
         'answered'
-    if ev.ANSWERED_LATER in kinds:
+    if ev.SESSION_ANSWERED_LATE in kinds:
         yield Claim(f'{seen}, but one asked a second later: a board (Arduino, OpenRB) restarts as '
                     'its port is opened; let the program open it once, wait 2 s, and keep it open',
-                    {'opened in vain': kinds[ev.VAIN_SESSION]}, is_certain=True)
+                    {'opened in vain': kinds[ev.SESSION_UNANSWERED]}, is_certain=True)
     elif not case.report.is_answered:
         yield Doubt(f'{seen}: a board (Arduino, OpenRB) that restarts as its port is opened, or '
                     'silent servos', step='let the program open it once, wait 2 s and ask: if '
@@ -364,7 +364,7 @@ def wrong_address(case: Case, device: DeviceReport) -> Found | None:
 
 def _what_is_there(device: DeviceReport, address: int, error: int) -> str:
     field = device.model.by_address.get(address)
-    name, series = _ELSEWHERE.get(address, ('', ''))
+    name, series = _OTHER_SERIES.get(address, ('', ''))
     if name and (field is None or field.name != name):
         return f'{name} of the {series} series; use the control table of {device.model_name}'
     if field is None:

@@ -31,14 +31,14 @@ from servobus.bus.report import Incident
 from servobus.bus.report import STOLE_REPLIES
 from servobus.doctor.case import Case
 from servobus.doctor.case import key_of
+from servobus.doctor.facts import count_early_ends
+from servobus.doctor.facts import count_early_reads
 from servobus.doctor.facts import FACTORY_DELAY_US
 from servobus.doctor.facts import fatal_late_answer
 from servobus.doctor.facts import first_of_groups
-from servobus.doctor.facts import gives_up_at_once
 from servobus.doctor.facts import is_collision
 from servobus.doctor.facts import is_overlaid
 from servobus.doctor.facts import ran_into_answers
-from servobus.doctor.facts import reads_too_soon
 from servobus.doctor.facts import SAME_DELAY_NS
 from servobus.doctor.facts import WAITS_WINDOW_S
 from servobus.doctor.rhythm import answer_ns
@@ -193,7 +193,7 @@ def impatient_master(case: Case) -> Claims:
     again.update(one.detail.instruction for one in _hidden_repeats(case))
     again.update(one.detail.instruction for one in _repeats_into_answers(case))
     # After a stray byte it asks once more.
-    if again.total() >= INCIDENTS_MIN + case.increase_of('glitches'):
+    if again.total() >= INCIDENTS_MIN + case.increase_of('stray_packets'):
         worst = again.most_common(1)[0][0]
         words = f'the master repeats {name_of(worst)} at once, {again.total()} times in 10 s'
         yield Doubt(f'{words}, though it got whole answers: its parser may reject them') \
@@ -201,7 +201,7 @@ def impatient_master(case: Case) -> Claims:
             Claim(f'{words}: its time-out is shorter than the answers take; raise it',
                   {'repeated': again.total()})
         return
-    hasty = gives_up_at_once(case) or reads_too_soon(case)
+    hasty = count_early_ends(case) or count_early_reads(case)
     if hasty and (_reads_few(case, hasty) if case.has_sides else
                   case.damage >= INCIDENTS_MIN and any(case.recent_counts(
                       device, WAITS_WINDOW_S).answers for device in case.devices)):

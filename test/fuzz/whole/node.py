@@ -43,7 +43,8 @@ MODELS = Models()
 OPEN = []                          # listeners
 WALL = 1_790_000_000 * S
 ROS = MagicMock()                  # one for all cases: it takes long to make
-monitor.Layouts = lru_cache(monitor.Layouts)     # the same ones: they take a tenth of the time
+# The same ones for all cases: they take a tenth of the time.
+monitor.ModelGuesses = lru_cache(monitor.ModelGuesses)
 
 
 def print_nothing(text):
