@@ -123,11 +123,11 @@ def _run(arguments: list[str]) -> int:
         raise
     finally:
         bus.stop()
-        _finish(bus, options.truth)
+        _write_totals(bus, options.truth)
     return 0
 
 
-def _finish(bus: FakeBus, truth_file: str | None) -> None:
+def _write_totals(bus: FakeBus, truth_file: str | None) -> None:
     totals = bus.totals()
     print('totals: ' + ', '.join(f'{name} {count}' for name, count in totals['bus'].items()))
     if truth_file is not None:

@@ -822,7 +822,7 @@ def test_the_name_of_a_port_in_a_report_has_no_serial_number(port, name):
 def test_a_report_names_the_port_that_a_link_leads_to(tmp_path, monkeypatch):
     link = tmp_path / 'usb-FTDI_FT4THVAB'
     link.symlink_to('/dev/pts/3')
-    monkeypatch.setattr(machine, 'device', lambda source: source)      # as if below /dev
+    monkeypatch.setattr(machine, 'port_of', lambda source: source)      # as if below /dev
     assert machine.plain_name(str(link), False) == 'pts/3'
     link.unlink()
     assert machine.plain_name(str(link), False) == 'a port'

@@ -239,14 +239,14 @@ class _DoctorRun:
     def _write_report(self, seconds: float) -> None:
         options, is_timed = self._options, self._source.is_timed
         ports = self._program.ports if self._program is not None else \
-            list(filter(None, [machine.device(options.source)]))
+            list(filter(None, [machine.port_of(options.source)]))
         buses = self._examination.buses(is_timed)
         shown, names = anonymous(buses), new_names(buses)
         verdict = make_verdict(machine.plain_name(options.source, bool(self._command)), shown,
                                seconds, is_timed, [] if self._examination.bytes else [NOTHING])
         about = [*machine.system(), *machine.adapters(ports, options.with_host)]
         if options.with_host:
-            about += machine.host(options.source, self._command)
+            about += machine.personal(options.source, self._command)
         text = make_report(verdict, shown, seconds, about, new_devices(options.devices, names),
                            options.protocol, self._window.capture(names))
         with open(options.report, 'w', encoding='utf-8') as file:

@@ -239,15 +239,15 @@ def _verdict(stored: dict[str, Any]) -> Verdict | None:
     try:
         return Verdict(
             _text(verdict['source']), _texts(verdict['head']),
-            _rows(DeviceGroup, verdict['heard']), _rows(Trouble, verdict['wrong']),
+            _read_rows(DeviceGroup, verdict['heard']), _read_rows(Trouble, verdict['wrong']),
             _texts(verdict['unknown']), _texts(verdict['quiet']),
             _text(verdict.get('protocol', '')), _texts(verdict.get('cycles')),
-            _rows(OpenPoint, verdict.get('not_sure', [])))
+            _read_rows(OpenPoint, verdict.get('not_sure', [])))
     except (KeyError, TypeError, ValueError):
         return None
 
 
-def _rows(kind: type[Any], rows: list[Any]) -> list[Any]:
+def _read_rows(kind: type[Any], rows: list[Any]) -> list[Any]:
     """Return rows of values as what they were; each has a text but `level`."""
     return [kind(*[Level(value) if name == 'level' else _text(value)
                    for name, value in zip(kind._fields, row, strict=True)])

@@ -4,7 +4,7 @@
 The computer of a source, for a report: versions, system, adapter. It looks only.
 
 What identifies a person is for those who ask for it: host and user name, paths and command line
-come from host(), serial numbers from adapters(). A port has its name only where the kernel or
+come from personal(), serial numbers from adapters(). A port has its name only where the kernel or
 Windows gave it: links and macOS put a serial number into it.
 """
 
@@ -41,7 +41,7 @@ def system() -> list[str]:
     return found
 
 
-def device(source: str) -> str:
+def port_of(source: str) -> str:
     """Return the port of a source, '' if it has none: of usb:/dev/ttyUSB0 the part after usb:."""
     path = source.removeprefix('usb:')
     is_port = path.startswith('/dev/') or re.fullmatch(r'COM\d+', path) is not None
@@ -53,7 +53,7 @@ def plain_name(source: str, is_program: bool) -> str:
     if is_program:
         return 'a program that was run'
     prefix = next(filter(source.startswith, PREFIXES), '')
-    if port := device(source):
+    if port := port_of(source):
         return prefix + _plain_port(port)
     scheme, mark, _ = source.partition('://')
     return prefix or (scheme + mark if mark else 'a file')
@@ -65,20 +65,21 @@ def _plain_port(port: str) -> str:
     return name[1] if name else 'a port'
 
 
-def adapters(ports: Sequence[str], with_serial: bool) -> list[str]:
+def adapters(ports: Sequence[str], with_serial_number: bool) -> list[str]:
     """Return maker, product, driver and latency timer of the adapters of these ports."""
     known = {one.device: one for one in list_ports.comports()}
-    return [_adapter(os.path.realpath(port), known, with_serial) for port in ports]
+    return [_adapter(os.path.realpath(port), known, with_serial_number) for port in ports]
 
 
-def _adapter(port: str, known: dict[str, list_ports.ListPortInfo], with_serial: bool) -> str:
+def _adapter(port: str, known: dict[str, list_ports.ListPortInfo],
+             with_serial_number: bool) -> str:
     tty = SYS / 'class/tty' / os.path.basename(port) / 'device'
     parts = []
     info = known.get(port)
     if info is not None and info.vid is not None:
         parts.append(f'USB {info.vid:04x}:{info.pid:04x} {info.manufacturer or ""} '
                      f'{info.product or ""}'.strip())
-        if with_serial and info.serial_number:
+        if with_serial_number and info.serial_number:
             parts.append(f'serial number {info.serial_number}')
     if (tty / 'driver').exists():
         parts.append(f'driver {(tty / "driver").resolve().name}')
@@ -87,7 +88,7 @@ def _adapter(port: str, known: dict[str, list_ports.ListPortInfo], with_serial: 
     return f'{_plain_port(port)}: {", ".join(parts) or "no USB adapter"}'
 
 
-def host(source: str, command: Sequence[str]) -> list[str]:
+def personal(source: str, command: Sequence[str]) -> list[str]:
     """Return what is personal: who and where this is."""
     return [f'host {socket.gethostname()}, user {getpass.getuser()}',
             f'source {source}', *([f'command {shlex.join(command)}'] if command else [])]

@@ -16,7 +16,7 @@ def is_wanted(entry: Entry, options: argparse.Namespace) -> bool:
         return False
     if options.errors and not _is_error(entry):
         return False
-    if options.instructions is not None and _code(entry) not in options.instructions:
+    if options.instructions is not None and _instruction(entry) not in options.instructions:
         return False
     if options.ids is None and options.about is None:
         return True
@@ -41,7 +41,7 @@ def _ids(entry: Entry) -> set[int | None]:
     return own
 
 
-def _code(entry: Entry) -> int | None:
+def _instruction(entry: Entry) -> int | None:
     if entry.packet is not None:
         return entry.packet.instruction
     if entry.kind == MISSED:
