@@ -70,7 +70,7 @@ def open_server(options: argparse.Namespace, source: str = '',
     registers are heard at the rate of the bus.
     """
     try:
-        listener = listen(options.host, options.port)
+        listener = listening_socket(options.host, options.port)
     except OSError as error:
         remedy = _REMEDIES.get(error.errno or 0, f'{error.strerror}; see --help')
         print(f'{NAME}: {options.host}:{options.port}: {remedy}', file=sys.stderr)
@@ -81,14 +81,14 @@ def open_server(options: argparse.Namespace, source: str = '',
         print(f'{NAME}: {error.name} is not installed; sudo apt install python3-aiohttp, or pip '
               "install 'mecarover_serial[dashboard]'", file=sys.stderr)
         return None
-    recording, without = open_history(options.history)
+    recording, why_no_history = open_history(options.history)
     if recording is None and options.history not in (None, NONE):
         return None
     host, port = listener.getsockname()[:2]
     is_open = not is_loopback(host)
     # A program that is started has stdout for itself.
     print(announcement(host, port, is_open), flush=True, file=sys.stderr if source else None)
-    about = facts(host, port, without) | ({'source': printable(source)} if source else {})
+    about = facts(host, port, why_no_history) | ({'source': printable(source)} if source else {})
     return Server(listener, about, is_open, recording, options.name, player, signals)
 
 
@@ -108,7 +108,7 @@ def open_history(wanted: str | None) -> tuple[History | None, str]:
     return recording, ''
 
 
-def listen(host: str, port: int) -> socket.socket:
+def listening_socket(host: str, port: int) -> socket.socket:
     """Return a socket that listens on an address (or a name); raise OSError with its errno."""
     try:
         family, _, _, _, address = socket.getaddrinfo(
@@ -134,10 +134,10 @@ def announcement(host: str, port: int, is_open: bool) -> str:
             'there is no password and no encryption. Nothing can be changed from there.')
 
 
-def facts(host: str, port: int, without: str = NOT_WANTED) -> dict[str, Any]:
+def facts(host: str, port: int, why_no_history: str = NOT_WANTED) -> dict[str, Any]:
     """Return what the page says about where it comes from, and why it has no history, if so."""
     return {'machine': socket.gethostname(), 'address': f'{_bracketed(host)}:{port}',
-            'domain': os.environ.get('ROS_DOMAIN_ID') or '0', 'without': without}
+            'domain': os.environ.get('ROS_DOMAIN_ID') or '0', 'without': why_no_history}
 
 
 def _bracketed(host: str) -> str:

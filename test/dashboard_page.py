@@ -64,9 +64,9 @@ class Dashboard:
     def start(self):
         from mecarover_dashboard.history_recorder import HistoryRecorder
         from mecarover_dashboard.serve import facts
-        from mecarover_dashboard.serve import listen
+        from mecarover_dashboard.serve import listening_socket
         from mecarover_dashboard.web_server import Server
-        listener = listen('127.0.0.1', self.port)
+        listener = listening_socket('127.0.0.1', self.port)
         self.port = listener.getsockname()[1]
         source = 'tap:arm' if self._signals else ''     # each value is heard, not sampled
         about = facts('127.0.0.1', self.port) | {'machine': 'robot', 'source': source}
