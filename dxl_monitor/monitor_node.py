@@ -23,7 +23,7 @@ from dxl_monitor.bus_log import BusLog
 from dxl_monitor.monitor_settings import make_recorders
 from dxl_monitor.monitor_settings import PARAMETERS
 from dxl_monitor.timers import Timers
-from mecarover_serial.process import resident_memory_mb
+from mecarover_serial.memory import resident_memory
 from mecarover_serial.ros_node import declare
 from mecarover_serial.ros_node import GraphCheck
 from mecarover_serial.ros_node import overridable_publisher
@@ -31,7 +31,6 @@ from mecarover_serial.ros_node import Stoppable
 from mecarover_serial.ros_node import warn_of_overrides
 from msg_defs.crc import CRC_IS_FAST
 from msg_defs.crc import SLOW_CRC_WARNING
-from msg_defs.diagnostics import Metric
 from msg_defs.diagnostics import Status
 from msg_defs.diagnostics import topic_names
 from msg_defs.diagnostics import worst_first
@@ -265,7 +264,7 @@ class MonitorNode(Stoppable):
         return to_time(self.node.get_clock().now().nanoseconds)
 
     def _publish_timing(self, reports: list[Reported]) -> None:
-        metrics = [Metric('resident_memory', 'MB', value=resident_memory_mb())]
+        metrics = [resident_memory()]
         for _, report, port in reports:
             metrics += timing_metrics(full_name(self.node), report, port)
         self._timing.publish(metrics, self.node.get_clock().now().nanoseconds)

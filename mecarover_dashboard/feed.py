@@ -15,9 +15,8 @@ from typing import Protocol
 
 from mecarover_dashboard.state import TABLES
 from mecarover_dashboard.state import TIMING
-from mecarover_serial.process import resident_memory_mb
+from mecarover_serial.memory import resident_memory
 from msg_defs.diagnostics import Level
-from msg_defs.diagnostics import Metric
 from msg_defs.diagnostics import metric_status
 from msg_defs.diagnostics import Status
 from msg_defs.diagnostics import status_name
@@ -102,7 +101,7 @@ class Feed:
         """Report at once."""
         self._alarms, self._reported = self._count_alarms(), time.monotonic_ns()
         statuses: list[Status] = []
-        metrics = [Metric('resident_memory', 'MB', value=resident_memory_mb())]
+        metrics = [resident_memory()]
         for bus, log in self._logs:
             report, port = bus.report(now), bus.port_state()
             log.add_report(report)

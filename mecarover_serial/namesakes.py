@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-DISCOVERED_NS = 3_000_000_000       # after a start: until then nodes are found that were there
+DISCOVERED_NS = 3_000_000_000       # after a start: until then what was there is found (2.5 s)
 FORGOTTEN_NS = 25_000_000_000       # by then the graph has forgotten a node that was killed (20 s)
 
 

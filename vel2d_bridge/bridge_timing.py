@@ -3,7 +3,7 @@
 """The timing metrics of the bridge: what is measured, in which unit. Pure; stamps in ns."""
 from __future__ import annotations
 
-from mecarover_serial.process import resident_memory_mb
+from mecarover_serial.memory import resident_memory
 from msg_defs.diagnostics import Metric
 from msg_defs.timing import Rate
 from msg_defs.timing import Series
@@ -49,5 +49,5 @@ class Timing:
             *(Metric(name, 'ms', series.summary(now), series.total())
               for name, series in self.series.items()),
             Metric('frame_rate', 'Hz', value=self._frames.per_second(now)),
-            Metric('resident_memory', 'MB', value=resident_memory_mb()),
+            resident_memory(),
         ]

@@ -16,8 +16,6 @@ import signal
 import socket
 import time
 
-from mecarover_serial.process import PR_SET_CHILD_SUBREAPER
-from mecarover_serial.process import prctl
 from vel2d_bridge.board import ACTED
 from vel2d_bridge.board import ALIVE
 from vel2d_bridge.board import AWAY
@@ -33,6 +31,8 @@ from vel2d_bridge.board import WATCH
 from vel2d_bridge.claim import identity
 from vel2d_bridge.deadman_server import serve
 from vel2d_bridge.lost_port import settings
+from vel2d_bridge.process import PR_SET_CHILD_SUBREAPER
+from vel2d_bridge.process import prctl
 from vel2d_bridge.watch import NUMBER
 
 READY, STARTING, FROZEN, GONE = 'ready', 'starting', 'frozen', 'lost'

@@ -18,14 +18,14 @@ import signal
 import socket
 import time
 
-from mecarover_serial.process import PR_SET_PDEATHSIG
-from mecarover_serial.process import prctl
-from mecarover_serial.process import rename_process
 from vel2d_bridge.board import ALIVE
 from vel2d_bridge.board import HANDLED
 from vel2d_bridge.board import SERVER
 from vel2d_bridge.board import SharedBoard
 from vel2d_bridge.board import WATCH
+from vel2d_bridge.process import PR_SET_PDEATHSIG
+from vel2d_bridge.process import prctl
+from vel2d_bridge.process import rename_process
 from vel2d_bridge.watch import IGNORE_SIGTERM_S
 from vel2d_bridge.watch import SEARCH_S
 from vel2d_bridge.watch import Watch

@@ -11,11 +11,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from mecarover_serial.namesakes import DISCOVERED_NS
 from vel2d_bridge.bridge_settings import AUTO
 from vel2d_bridge.bridge_settings import TWIST
 from vel2d_bridge.bridge_settings import TWIST_STAMPED
 
-_NEWS_NS = 3_000_000_000
 TYPE_NAMES = {
     'geometry_msgs/msg/Twist': TWIST,
     'geometry_msgs/msg/TwistStamped': TWIST_STAMPED,
@@ -54,7 +54,7 @@ class Absence:
         return left
 
     def is_long(self, now: int) -> bool:
-        return self._since is not None and now - self._since >= _NEWS_NS
+        return self._since is not None and now - self._since >= DISCOVERED_NS
 
     @staticmethod
     def words(topic: str) -> str:

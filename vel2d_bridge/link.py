@@ -52,7 +52,7 @@ _JOIN_S = 1.7
 _POLL_S = 0.005
 _HANGING_NS = SECOND               # without a turn of the thread, which takes BEAT
 _RETRY_S = 0.5                     # at most between attempts: until then the rover may be driving
-_LAST_RETRY_S = 0.1                # while closing
+_RETRY_PAUSE_S = 0.1               # while closing, or after an error of another kind: no memory
 
 
 class LinkState(NamedTuple):
@@ -246,7 +246,7 @@ class Link:
             with suppress(Exception):                # after an error another one: no memory
                 self._use_port()
                 continue
-            time.sleep(_LAST_RETRY_S)
+            time.sleep(_RETRY_PAUSE_S)
 
     def _use_port(self) -> None:
         """Open the port and use it until it is lost or not needed any more."""
@@ -259,14 +259,14 @@ class Link:
         mistake: Exception | None = None
         try:
             self._begin(port)
-            while not self._is_finished():
+            while not self._is_port_done():
                 self._turn(port)
         except Exception as error:
             mistake = error
         try:
-            self._end(port, mistake)
+            self._part_from(port, mistake)
         finally:
-            self._close(port)
+            self._close_port(port)
         if mistake is not None:
             self._pause(self._backoff.next())
 
@@ -294,7 +294,7 @@ class Link:
         self._backoff.reset()
         self._report_change(None)
 
-    def _is_finished(self) -> bool:
+    def _is_port_done(self) -> bool:
         with self._lock:
             return self._closing is not None and (
                 self._pacer.is_idle() or self._clock() >= self._closing + _CLOSE_NS)
@@ -326,7 +326,7 @@ class Link:
         if self._deadman is not None:
             self._deadman.beat(now)
 
-    def _end(self, port: Port, mistake: Exception | None) -> None:
+    def _part_from(self, port: Port, mistake: Exception | None) -> None:
         """Part from a port: have every copy but ours closed, before anybody looks for it again."""
         with self._lock:
             self._port = None
@@ -346,7 +346,7 @@ class Link:
         if error is not None:
             self._report_change(error)
 
-    def _close(self, port: Port) -> None:
+    def _close_port(self, port: Port) -> None:
         """
         Close a port, with a beating heart, and return when it is; while closing, do not wait long.
 
@@ -380,7 +380,7 @@ class Link:
             now = self._clock()
             self._overslept |= now - before >= SILENCE
         if self._closing is not None and not self._is_over():
-            time.sleep(_LAST_RETRY_S)
+            time.sleep(_RETRY_PAUSE_S)
 
 
 def _deadman_state(deadman: Deadman | None, port: Port | None, now: int) -> str:

@@ -28,6 +28,7 @@ from mecarover_dashboard.history_recorder import HistorySampler
 from mecarover_dashboard.metrics import exposition
 from mecarover_dashboard.state import State
 from mecarover_dashboard.state import TOPICS
+from msg_defs.diagnostics import Metric
 from msg_defs.event import Chunk
 from servobus import monitor
 from servobus import monitored_bus
@@ -42,6 +43,7 @@ dxl_node = import_module('dxl_monitor.monitor_node')
 MODELS = Models()
 OPEN = []                          # listeners
 WALL = 1_790_000_000 * S
+MEMORY = Metric('resident_memory', 'MB', value=50.0)
 ROS = MagicMock()                  # one for all cases: it takes long to make
 # The same ones for all cases: they take a tenth of the time.
 monitor.ModelGuesses = lru_cache(monitor.ModelGuesses)
@@ -156,7 +158,7 @@ def through_node(case, folder):
     with ExitStack() as changed:
         for name, value in (('Node', lambda *_: ROS), ('declare', lambda *_: values),
                             ('load_models', lambda _: MODELS),
-                            ('Clock', lambda **_: None), ('resident_memory_mb', lambda: 50.0),
+                            ('Clock', lambda **_: None), ('resident_memory', lambda: MEMORY),
                             ('time', stopped), ('overridable_publisher',
                                                 lambda node, *rest: node.create_publisher(*rest))):
             changed.enter_context(patch.object(dxl_node, name, value))

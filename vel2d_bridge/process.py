@@ -1,13 +1,10 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""What this process costs, what it is called, and what the kernel is to do for it."""
+"""What this process is called, and what the kernel is to do for it."""
 from contextlib import suppress
 import ctypes
-import math
-import os
 from pathlib import Path
 
-_PAGE_MB = os.sysconf('SC_PAGE_SIZE') / 1e6
 _ARG_START, _ARG_END = 45, 46      # fields of /proc/PID/stat after the name; see proc(5)
 
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36     # linux/prctl.h
@@ -16,14 +13,6 @@ PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36     # linux/prctl.h
 def prctl(option: int, value: int) -> None:
     """Set an attribute of this process, as in the manual page of that name."""
     ctypes.CDLL(None).prctl(option, ctypes.c_ulong(value), 0, 0, 0)
-
-
-def resident_memory_mb() -> float:
-    """Return the resident memory of this process in MB; NaN when no descriptor is left."""
-    try:
-        return int(Path('/proc/self/statm').read_text().split()[1]) * _PAGE_MB
-    except OSError:
-        return math.nan
 
 
 def rename_process(name: str) -> None:
