@@ -23,6 +23,7 @@ from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 from servobus.port.port_error import PortError
 from servobus.port.port_error import Reason
+from servobus.port.self_pipe import SelfPipe
 from servobus.port.serial_port import as_port_error
 from servobus.port.serial_port import Backoff
 from servobus.port.serial_port import open_port
@@ -38,7 +39,6 @@ from vel2d_bridge.gate import SECOND
 from vel2d_bridge.gate import Stop
 from vel2d_bridge.pacer import Pacer
 from vel2d_bridge.pacer import Sent
-from vel2d_bridge.self_pipe import SelfPipe
 from vel2d_bridge.watch import BEAT
 from vel2d_bridge.watch import SILENCE
 

@@ -17,7 +17,6 @@ from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
 import math
-import os
 import threading
 import time
 from typing import NamedTuple
@@ -29,6 +28,7 @@ from servobus.bus.report import LineErrors
 from servobus.port.port_error import PortError
 from servobus.port.port_error import Reason
 from servobus.port.readable import readable
+from servobus.port.self_pipe import SelfPipe
 from servobus.port.serial_port import as_port_error
 from servobus.port.serial_port import Backoff
 from servobus.port.serial_port import open_port
@@ -67,7 +67,7 @@ class Listener:
     | attributes | who writes them |
     |---|---|
     | _stopping, _last_news | stop(), news(): the thread of the caller |
-    | port, _bus, _on_..., _records_every_s, _in_thread, _wake_..., _thread | set once |
+    | port, _bus, _on_..., _records_every_s, _in_thread, _pipe, _thread | set once |
     | all others | its thread: one value each, so that others read them without a lock |
     """
 
@@ -98,7 +98,7 @@ class Listener:
         self._last_news = ''
         self._words = ''             # how the port was opened
         self._thread_reason = ''     # why no process reads
-        self._wake_read, self._wake_write = os.pipe()
+        self._pipe = SelfPipe()      # not drained: who is stopped sleeps no more
         self._thread = threading.Thread(target=self._run, name=f'listener {port}', daemon=True)
 
     @property
@@ -130,10 +130,9 @@ class Listener:
     def stop(self) -> None:
         """Close the port and end the thread; no callback comes after this returns."""
         self._stopping = True
-        os.write(self._wake_write, b'x')
+        self._pipe.rouse()
         self._thread.join()
-        os.close(self._wake_read)
-        os.close(self._wake_write)
+        self._pipe.close()
 
     def _run(self) -> None:
         while not self._stopping:
@@ -189,7 +188,7 @@ class Listener:
         if port.fd is None or self._in_thread:
             self._read_in_thread(port)
             return
-        start = partial(ReaderProcess, port.fd, self.idle_s, reader.GATHER_S, self._wake_read,
+        start = partial(ReaderProcess, port.fd, self.idle_s, reader.GATHER_S, self._pipe.fd,
                         byte_ns=byte_ns(self.baud))
         while not self._stopping:
             self._thread_reason = self._read_by_process(partial(self._accept_record, port), start)
@@ -200,7 +199,7 @@ class Listener:
 
     def _read_in_thread(self, port: Port, ns: float = math.inf) -> None:
         def wait(seconds: float) -> bool:
-            return port.wait(seconds, self._wake_read)
+            return port.wait(seconds, self._pipe.fd)
 
         def deliver(data: bytes, stamp: int) -> None:
             self.largest_gap = max(self.largest_gap, loop.largest_gap)
@@ -283,4 +282,4 @@ class Listener:
     def _pause(self, seconds: float) -> None:
         """Wait, but not when we are stopped."""
         if not self._stopping:
-            readable([self._wake_read], seconds)
+            readable([self._pipe.fd], seconds)

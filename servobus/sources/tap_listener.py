@@ -60,7 +60,7 @@ class TapListener(Listener):
 
     def _reader(self, name: str) -> TapReader:
         try:
-            return TapReader(name, self._wake_read)
+            return TapReader(name, self._pipe.fd)
         except OSError as error:
             reason, _, remedy = (error.strerror or str(error)).partition('; ')
             raise PortError(self.port, Reason(

@@ -85,7 +85,7 @@ class UsbListener(Listener):
         self._opened(words)
         problem = self._read_by_process(self._accept_usb_record, partial(
             ReaderProcess, fd, self.idle_s, reader.GATHER_LONGEST_S,       # events have stamps
-            self._wake_read, usb))
+            self._pipe.fd, usb))
         if problem:
             raise PortError(self.port, Reason('other', f'its reader process: {problem}',
                                               'start this program again if that lasts'))

@@ -69,8 +69,7 @@ class FedListener(Listener):
     def stop(self):
         if self in OPEN:
             OPEN.remove(self)
-            os.close(self._wake_read)
-            os.close(self._wake_write)
+            self._pipe.close()
 
     def hear_chunk(self, one, stamp):
         self._deliver(Chunk(stamp, self._bus, one.data, one.side, one.change))

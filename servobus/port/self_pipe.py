@@ -13,7 +13,9 @@ class SelfPipe:
     """`rouse` from any thread, sleep on `fd` in one."""
 
     def __init__(self) -> None:
-        self.fd, self._write_fd = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        self.fd, self._write_fd = os.pipe()        # macOS has no pipe2
+        os.set_blocking(self.fd, False)
+        os.set_blocking(self._write_fd, False)
 
     def rouse(self) -> None:
         with suppress(OSError):    # a full pipe wakes as well
