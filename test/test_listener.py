@@ -18,6 +18,7 @@ from servobus.port.pty import Pty
 from servobus.sources.listener import Listener
 from servobus.sources.serial_driver import adapter
 from servobus.sources.serial_driver import latency_timer_ms
+from servobus.sources.serial_driver import shorten_latency_timer
 
 pytestmark = pytest.mark.realtime(bears=0.02)
 
@@ -202,7 +203,10 @@ def test_latency_timer_of_an_ftdi_adapter_is_lowered_where_allowed(tmp_path):
     folder = tmp_path / 'class/tty/ttyUSB7/device'
     folder.mkdir(parents=True)
     (folder / 'latency_timer').write_text('16\n')
+    assert latency_timer_ms('/dev/ttyUSB7', tmp_path) == 16
+    shorten_latency_timer('/dev/ttyUSB7', tmp_path)
     assert latency_timer_ms('/dev/ttyUSB7', tmp_path) == 1
+    shorten_latency_timer('/dev/ttyUSB8', tmp_path)
     assert latency_timer_ms('/dev/ttyUSB8', tmp_path) is None
 
 

@@ -39,6 +39,7 @@ from servobus.sources.reader_process import Record
 from servobus.sources.serial_driver import latency_timer_ms
 from servobus.sources.serial_driver import line_errors
 from servobus.sources.serial_driver import set_low_latency
+from servobus.sources.serial_driver import shorten_latency_timer
 from servobus.sources.source_name import ways_to_hear
 
 ERRORS_EVERY_NS = 1_000_000_000
@@ -168,6 +169,7 @@ class Listener:
         if self._fd is not None:
             self._errors_at_opening = line_errors(self._fd)
             self.low_latency = set_low_latency(self._fd)
+            shorten_latency_timer(self.port)
             self.latency_timer_ms = latency_timer_ms(self.port)
         self._opened(f'open at {self.baud} baud')
 

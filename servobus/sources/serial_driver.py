@@ -67,16 +67,23 @@ def adapter(path: str, root: Path = SYS) -> Pairs:
     return [(key, text) for key, name in files if (text := file_text(usb / name).strip())]
 
 
-def latency_timer_ms(path: str, root: Path = SYS) -> int | None:
+def shorten_latency_timer(path: str, root: Path = SYS) -> None:
     """
-    Return the latency timer of an FTDI adapter (ms), set to 1 where we may; None without one.
+    Set the latency timer of an FTDI adapter to 1 ms, where there is one and we may.
 
     At 16 ms, the driver's default, an adapter hides every delay on the bus below that.
     """
-    file = root / 'class/tty' / tty_of(path) / 'device/latency_timer'
     with suppress(OSError):
-        file.write_text('1')
+        _latency_timer(path, root).write_text('1')
+
+
+def latency_timer_ms(path: str, root: Path = SYS) -> int | None:
+    """Return the latency timer of an FTDI adapter (ms), None without one."""
     try:
-        return int(file.read_text())
+        return int(_latency_timer(path, root).read_text())
     except (OSError, ValueError):
         return None
+
+
+def _latency_timer(path: str, root: Path) -> Path:
+    return root / 'class/tty' / tty_of(path) / 'device/latency_timer'

@@ -23,6 +23,7 @@ import socket
 
 from serial.tools import list_ports
 
+from servobus.sources.serial_driver import latency_timer_ms
 from servobus.sources.serial_driver import SYS
 from servobus.sources.source_name import PREFIXES
 
@@ -83,8 +84,8 @@ def _adapter(port: str, known: dict[str, list_ports.ListPortInfo],
             parts.append(f'serial number {info.serial_number}')
     if (tty / 'driver').exists():
         parts.append(f'driver {(tty / "driver").resolve().name}')
-    with suppress(OSError):
-        parts.append(f'latency timer {(tty / "latency_timer").read_text().strip()} ms')
+    if (timer_ms := latency_timer_ms(port)) is not None:
+        parts.append(f'latency timer {timer_ms} ms')
     return f'{_plain_port(port)}: {", ".join(parts) or "no USB adapter"}'
 
 
