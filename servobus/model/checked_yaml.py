@@ -25,7 +25,7 @@ from servobus.errors import ServobusError
 from servobus.plain import printable
 
 BUILT_IN = Path(__file__).with_name('files')
-NUMBER_LIMIT = 0xFFFF
+VALUE_NUMBER_MAX = 0xFFFF    # of a value that has a name
 INTEGER_BITS = 64            # the widest register has so many
 FILE_LIMIT = 500_000         # bytes; our longest file has 11 000
 NODES_LIMIT = 60_000         # values, what aliases stand for counted each time; ours have 800
@@ -133,13 +133,16 @@ def _check_weight(text: bytes) -> None:
 
 
 class Check(NamedTuple):
-    """Raises ModelError for one place in one file; the methods return what they checked."""
+    """Raises ModelError for one place in one file; all but mapping() return what they checked."""
 
     path: Path
     field: str
 
     def error(self, reason: str, remedy: str) -> ModelError:
         return ModelError(self.path, self.field, reason, remedy)
+
+    def _refused(self, key: str, raw: Any, remedy: str) -> ModelError:
+        return self.error(f'{key} is {describe(raw)}', remedy)
 
     def mapping(self, raw: Any, keys: set[str]) -> None:
         if not isinstance(raw, dict):
@@ -156,30 +159,29 @@ class Check(NamedTuple):
         return raw
 
     def integer(self, raw: Any, key: str, first: int, last: int) -> int:
-        if type(raw) is not int or not first <= raw <= last:
-            raise self.error(f'{key} is {describe(raw)}',
-                             f'give a whole number from {first} to {last}')
+        if type(raw) is not int or not first <= raw <= last:       # a bool is an int, too
+            raise self._refused(key, raw, f'give a whole number from {first} to {last}')
         return raw
 
     def number(self, raw: Any, key: str) -> float:
         if type(raw) not in (int, float) or not abs(raw) < NUMBER_END:
-            raise self.error(f'{key} is {describe(raw)}', 'give a number')
+            raise self._refused(key, raw, 'give a number')
         return float(raw)
 
     def text(self, raw: Any, key: str) -> str:
         if not isinstance(raw, str) or not raw or raw != raw.strip() or not raw.isprintable():
-            raise self.error(f'{key} is {describe(raw)}', 'give a text')
+            raise self._refused(key, raw, 'give a text')
         return raw
 
     def choice(self, raw: Any, key: str, choices: tuple[str, ...]) -> str:
         if raw not in choices:
-            raise self.error(f'{key} is {describe(raw)}', f'use one of {", ".join(choices)}')
+            raise self._refused(key, raw, f'use one of {", ".join(choices)}')
         return str(raw)
 
     def names(self, raw: Any, key: str) -> dict[int, str]:
         if not isinstance(raw, dict):
-            raise self.error(f'{key} is {describe(raw)}', f'write {key}: {{NUMBER: NAME}}')
-        return {self.integer(number, f'number in {key}', 0, NUMBER_LIMIT):
+            raise self._refused(key, raw, f'write {key}: {{NUMBER: NAME}}')
+        return {self.integer(number, f'number in {key}', 0, VALUE_NUMBER_MAX):
                 self.text(name, f'name of {number}') for number, name in raw.items()}
 
 
