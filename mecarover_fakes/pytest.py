@@ -81,8 +81,7 @@ def servo_doctor(request: pytest.FixtureRequest) -> Iterator[Callable[..., Liste
     raised = request.node.stash.get(_RAISED, None)
     # As if the test had been inside `with listen()`: a Listening looks at what was raised there.
     stack.__exit__(type(raised) if raised else None, raised, None)
-    wrong = [f'{one.level.name} {one.rule}, '
-             f'{"the bus" if one.device is None else f"{one.device:03}"}: {one.message}'
+    wrong = [f'{one.level.name} {one.rule}, {one.who}: {one.message}'
              for bus in listening for one in bus.findings if one.level >= Level.WARN]
     if wrong:
         pytest.fail('\n'.join(['the servo bus is not well:', *wrong]), pytrace=False)

@@ -145,8 +145,7 @@ class Examination:
         found = max(self._current_findings(SETTLED_S), key=lambda one: one.level, default=None)
         if found is None or found.level is Level.OK:
             return ''
-        who = 'the bus' if found.device is None else f'{found.device:03}'
-        return f'{who}: {found.rule.replace("_", " ")}: {found.message}'
+        return f'{found.who}: {found.rule.replace("_", " ")}: {found.message}'
 
     def _current_findings(self, since_s: float = 0.0) -> list[Finding]:
         """Return what is found at this moment, of all buses; since_s: for so long at least."""

@@ -82,6 +82,11 @@ class Finding(NamedTuple):
     read_at: int = 0
     step: str = ''
 
+    @property
+    def who(self) -> str:
+        """Who has it: '003', or 'the bus'."""
+        return 'the bus' if self.device is None else f'{self.device:03}'
+
 
 D = TypeVar('D')
 

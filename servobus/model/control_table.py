@@ -228,6 +228,11 @@ class Model:
         self.by_name = {field.name: field for field in self.fields}
         self.by_name.update((alias, self.by_name[name]) for alias, name in self.aliases.items())
 
+    @property
+    def known_name(self) -> str:
+        """The name, '' of UNKNOWN."""
+        return '' if self is UNKNOWN else self.name
+
     def __repr__(self) -> str:
         return f'Model({self.number}, {self.name!r}, {len(self.fields)} fields)'
 

@@ -82,9 +82,8 @@ def identity_of(entry: Entry) -> PingAnswer | None:
     if packet is None or packet.error is None or entry.request.accesses \
             or entry.notes or len(packet.params) != _PING_DATA:
         return None
-    model = UNKNOWN if entry.device is None else entry.device.model
-    return PingAnswer(packet.params[0] | packet.params[1] << 8,
-                      '' if model is UNKNOWN else model.name, packet.params[2])
+    name = '' if entry.device is None else entry.device.model.known_name
+    return PingAnswer(packet.params[0] | packet.params[1] << 8, name, packet.params[2])
 
 
 def _part(listing: Listing, access: Access, data: bytes | None, error: int = 0) -> Part:

@@ -9,7 +9,6 @@ from typing import Any
 from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_packet import Packet
 from servobus.bus.evidence import text_of
-from servobus.model.control_table import UNKNOWN
 from servobus.tools.dump.decode import identity_of
 from servobus.tools.dump.decode import Part
 from servobus.tools.dump.listing import Entry
@@ -27,8 +26,7 @@ def json_line(bus: str, stamp_us: int, packet: Packet, entry: Entry, parts: Sequ
         'stamp': stamp_us / 1e6, 'offset': packet.offset, 'bus': bus, 'id': packet.id,
         'code': packet.instruction, 'instruction': packet_name(packet),
         'error': packet.error, 'params': packet.params.hex(), 'repaired': packet.repaired,
-        'model': entry.device.model.name
-        if entry.device is not None and entry.device.model is not UNKNOWN else None,
+        'model': None if entry.device is None else entry.device.model.known_name or None,
     }
     if entry.side:
         record['side'] = entry.side

@@ -16,7 +16,6 @@ from msg_defs.dxl_instruction import ALERT
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.frame import OPEN
 from servobus.bus.device import Device
-from servobus.model.control_table import UNKNOWN
 from servobus.tools.dump.decode import Part
 from servobus.tools.dump.listing import DAMAGED
 from servobus.tools.dump.listing import Entry
@@ -136,7 +135,7 @@ def columns_of(entry: Entry, parts: Sequence[Part]) -> Shown:
 
 def _model(device: Device | None, is_wide: bool) -> str:
     """Return the column of the model; with its joint where there is room."""
-    name = '' if device is None or device.model is UNKNOWN else device.model.name
+    name = '' if device is None else device.model.known_name
     if not is_wide:
         return fit(name, 10)
     joint = '' if device is None else device.joint
