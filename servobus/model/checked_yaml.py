@@ -25,7 +25,7 @@ from servobus.errors import ServobusError
 from servobus.plain import printable
 
 BUILT_IN = Path(__file__).with_name('files')
-VALUE_NUMBER_MAX = 0xFFFF    # of a value that has a name
+VALUE_NUMBER_MAX = 0xFFFF    # in values: {NUMBER: NAME}
 INTEGER_BITS = 64            # the widest register has so many
 FILE_LIMIT = 500_000         # bytes; our longest file has 11 000
 NODES_LIMIT = 60_000         # values, what aliases stand for counted each time; ours have 800
