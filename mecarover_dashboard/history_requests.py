@@ -110,7 +110,7 @@ async def _stream(request: web.Request, lines: Iterator[list[str]]) -> web.Strea
         'Content-Type': 'text/csv; charset=utf-8',
         'Content-Disposition': f'attachment; filename="mecarover-{name}"'})
     await response.prepare(request)
-    while some:
+    while some and request.method != 'HEAD':
         text = io.StringIO()
         csv.writer(text).writerows(some)
         await response.write(text.getvalue().encode())

@@ -598,6 +598,19 @@ def test_a_download_that_is_broken_off_says_nothing(path, writer, caplog):
     assert caplog.records == []
 
 
+def test_the_head_of_a_download_has_no_body_behind_it(path, writer):
+    writer.write([window(last_hour(), 1.0)], [])
+    with Dashboard(history=path) as dashboard, \
+            socket.create_connection(('127.0.0.1', dashboard.port), timeout=20) as client:
+        for target in ('/history/values?format=csv', '/history/events?format=csv', '/'):
+            client.sendall(f'HEAD {target} HTTP/1.1\r\nHost: localhost\r\n\r\n'.encode())
+            answer = b''
+            while b'\r\n\r\n' not in answer:
+                answer += client.recv(65536)
+            head, _, body = answer.partition(b'\r\n\r\n')
+            assert (head[:12], body) == (b'HTTP/1.1 200', b''), target
+
+
 def test_without_a_history():
     with Dashboard() as dashboard, pytest.raises(HTTPError) as caught:
         ask(dashboard, 'events')
