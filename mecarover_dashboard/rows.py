@@ -211,9 +211,10 @@ def errors(status: AnyStatus, arrived_s: float, before: Row) -> Row:
 
 def _dated(line: str, started_s: float | None) -> tuple[float | None, str]:
     found = _ERROR.match(line)
-    if found is None or started_s is None:
+    after_s = None if found is None else finite(found[1])
+    if found is None or after_s is None or started_s is None:
         return None, line
-    return round(started_s + float(found[1]), 2), found[2]
+    return round(started_s + after_s, 2), found[2]
 
 
 def figures(values: Pairs) -> list[float | None]:

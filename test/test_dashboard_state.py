@@ -122,6 +122,16 @@ def test_the_short_form_keeps_what_only_the_long_one_says(robot):
     assert any(field.key == 'Present Position (rad)' for field in state.table(KNEE).fields)
 
 
+def test_an_error_of_no_possible_time_has_none():
+    """An infinite one is no JSON: no page got anything more."""
+    lines = [f'{"9" * 400}.0 s: noise', '2.5 s: noise']
+    state = take_one(Status('m: bus', Level.OK, '', '', [
+        (keys.PORT, ''), (keys.RUNNING, '10'),
+        *((f'{keys.ERROR}{at}', line) for at, line in enumerate(lines))]), now_s=100.0)
+    [bus] = state.changes(0)['buses'].values()
+    assert bus['errors'] == [(None, lines[0]), (92.5, 'noise')]
+
+
 def test_a_lost_device_does_not_hide_another_with_an_error(robot):
     robot.lost, robot.faulty, robot.warned = {7}, {8, 9}, {10}
     part = told(robot).parts()[0]
