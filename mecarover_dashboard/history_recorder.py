@@ -47,6 +47,7 @@ from msg_defs.diagnostics import SEVERITY
 
 EVENT_FLUSH_S = 5.0
 LIMIT_S = 300.0                 # between two looks at the size
+END_S = 5.0                     # a disk that takes nothing for so long is not waited for
 _MOST_WAITING = 24              # batches, at least two minutes: what comes later is lost
 NAME = 'history.sqlite'
 MOST_ERRORS = 20                # for one bus in one window; noise would fill the file
@@ -353,8 +354,9 @@ class HistoryRecorder:
     def close(self) -> None:
         """Write what is known and end."""
         self._hand_over()
-        self._batches.put(None)
-        self._thread.join(5.0)
+        with suppress(queue.Full):
+            self._batches.put(None, timeout=END_S)
+        self._thread.join(END_S)
         os.close(self._lock)
 
     def _run(self) -> None:

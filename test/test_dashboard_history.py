@@ -14,6 +14,7 @@ import sqlite3
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from urllib.error import HTTPError
 from urllib.parse import urlencode
@@ -347,6 +348,21 @@ def test_a_damaged_file_is_set_aside(path, content):
     assert recording.notice.startswith(f'{path}: this history cannot be read (')
     [aside] = path.parent.glob('*.damaged-*')
     assert aside.read_bytes() == content
+
+
+def test_the_end_does_not_wait_for_a_disk_that_stands_still(path, monkeypatch):
+    monkeypatch.setattr('mecarover_dashboard.history_recorder.END_S', 0.1)
+    goes_on = threading.Event()
+    monkeypatch.setattr(HistoryWriter, 'write', lambda *_: goes_on.wait())
+    recording = HistoryRecorder(path)
+    while not recording.problem:
+        recording._hand_over()
+    end = threading.Thread(target=recording.close, daemon=True)
+    end.start()
+    end.join(5.0)
+    is_over = not end.is_alive()
+    goes_on.set()
+    assert is_over
 
 
 def test_a_file_of_a_later_version_is_set_aside(path):
