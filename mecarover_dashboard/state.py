@@ -65,7 +65,9 @@ class _Row:
     whole: AnyStatus | None = None
     whole_arrived: float = 0.0
     values: rows.Values = rows.NOTHING
-    points: deque[tuple[int, Point]] = field(default_factory=lambda: deque(maxlen=HISTORY))
+    points: list[tuple[int, Point]] = field(default_factory=list)   # of a metric, with versions
+    latencies: list[Point] = field(default_factory=list)            # of a device
+    table: tuple[AnyStatus | None, RegisterTable | None] = None, None   # what it was made of
 
 
 class RowReport(NamedTuple):
@@ -94,8 +96,6 @@ class State:
         self._entries: dict[str, dict[str, _Row]] = {name: {} for name in SECTIONS}
         self._removed: deque[tuple[int, str, str]] = deque(maxlen=MOST_ROWS)
         self._heard: dict[str, float] = {}          # by node
-        self._latencies: dict[str, deque[Point]] = {}       # by device
-        self._tables: dict[str, tuple[AnyStatus, RegisterTable]] = {}
         self._parts: tuple[int, list[RobotPart]] = -1, []      # and their version
         self.grown_s = 0.0                          # when the last new row came
 
@@ -135,15 +135,16 @@ class State:
         return f'{node}: {of}' if is_device else ''
 
     def _store_latency(self, name: str, status: AnyStatus, now_s: float) -> None:
-        if name in self._entries['devices']:
-            points = self._latencies.get(name)
-            if points is None:
-                if self._is_full(_POINTS, is_row=False):
-                    self.refused += 1
-                    return
-                self.bytes += _POINTS
-                points = self._latencies[name] = deque(maxlen=HISTORY)
-            points.append([round(now_s, 2), *rows.figures(status.pairs())])
+        entry = self._entries['devices'].get(name)
+        if entry is None:
+            return
+        if not entry.latencies:
+            if self._is_full(_POINTS, is_row=False):
+                self.refused += 1
+                return
+            self.bytes += _POINTS
+        entry.latencies.append([round(now_s, 2), *rows.figures(status.pairs())])
+        del entry.latencies[:-HISTORY]
 
     def _store_status(self, topic: str, section: str, status: AnyStatus, now_s: float) -> None:
         entry = self._entry(section, status)
@@ -166,6 +167,7 @@ class State:
                 for name, empty in _ONLY_LONG.items()}
         if section == 'timing':
             entry.points.append((self.version, [round(now_s, 2), *rows.figures(row['values'])]))
+            del entry.points[:-HISTORY]
         if row != entry.row or section == 'timing':
             entry.row, entry.version = row, self.version
 
@@ -197,11 +199,8 @@ class State:
 
     def _remove(self, section: str, name: str) -> None:
         self.version += 1
-        self.bytes -= self._entries[section].pop(name).cost
-        if section == 'devices':
-            self._tables.pop(name, None)
-            if self._latencies.pop(name, None) is not None:
-                self.bytes -= _POINTS
+        entry = self._entries[section].pop(name)
+        self.bytes -= entry.cost + _POINTS * bool(entry.latencies)
         self._removed.append((self.version, section, name))
 
     def expire(self, now_s: float) -> None:
@@ -235,7 +234,7 @@ class State:
         """Return the bridges and buses, the worst first, as they are now."""
         if self._parts[0] != self.version:
             self._parts = self.version, parts_of(*(
-                [entry.row for entry in self._entries[section].values() if entry.row]
+                [entry.row for entry in self._entries[section].values()]
                 for section in ('devices', 'buses', 'bridge')))
         return self._parts[1]
 
@@ -244,12 +243,10 @@ class State:
         entry = self._entries['devices'].get(name)
         if entry is None or entry.whole is None:
             return None
-        status, before = self._tables.get(name, (None, None))
-        if status is entry.whole and before is not None:
-            return before
-        table = rows.table(entry.whole, entry.whole_arrived, before)
-        self._tables[name] = (entry.whole, table)
-        return table
+        status, before = entry.table
+        if status is not entry.whole:
+            entry.table = entry.whole, rows.table(entry.whole, entry.whole_arrived, before)
+        return entry.table[1]
 
     def whole(self) -> dict[str, tuple[AnyStatus, float]]:
         """Return the last status with registers of each device, and when it came."""
@@ -259,8 +256,7 @@ class State:
     def reports(self, section: str) -> Iterator[RowReport]:
         """Return the rows of a section as they were reported last."""
         for name, entry in self._entries[section].items():
-            if entry.row:
-                yield RowReport(name, entry.row, _values_now(entry), entry.arrived)
+            yield RowReport(name, entry.row, _values_now(entry), entry.arrived)
 
     def figure(self, node: str, of: str, metric: str) -> float | None:
         """Return the newest figure of a timing metric: p50, or its value; None if unknown."""
@@ -280,12 +276,14 @@ class State:
 
     def latency(self, name: str, after_s: float) -> list[Point]:
         """Return the points [s, p50, p95, max] of a device's reply latency after a time."""
-        return [point for point in self._latencies.get(name, ()) if (point[0] or 0) > after_s]
+        entry = self._entries['devices'].get(name)
+        return [point for point in entry.latencies if (point[0] or 0) > after_s] if entry else []
 
     def keep_tables(self, names: set[str]) -> None:
         """Forget the decoded tables of devices that no page shows."""
-        for name in self._tables.keys() - names:
-            del self._tables[name]
+        for name, entry in self._entries['devices'].items():
+            if name not in names:
+                entry.table = None, None
 
     def topics(self, now_s: float) -> dict[str, Any]:
         """Return by topic how many messages came, and how long ago the last one, in s."""
