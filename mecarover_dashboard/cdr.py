@@ -17,6 +17,7 @@ from struct import Struct
 from typing import NamedTuple
 
 from msg_defs.diagnostics import Pairs
+from msg_defs.diagnostics import Status
 from servobus.plain import printable
 
 TEXT_LIMIT = 500            # characters of one text that reach the page
@@ -99,12 +100,18 @@ class HandedStatus(NamedTuple):
 
 
 AnyStatus = RawStatus | HandedStatus
+Message = bytes | Sequence[Status]
 
 
-def statuses(data: bytes) -> list[RawStatus]:
-    """Return the statuses of a serialised DiagnosticArray; raise CdrError if it is none."""
+def statuses(message: Message) -> Sequence[AnyStatus]:
+    """Return the statuses of a DiagnosticArray; raise CdrError if what is serialised is none."""
+    if not isinstance(message, bytes):
+        return [HandedStatus(one.level, printable(one.name, TEXT_LIMIT),
+                             printable(one.message, TEXT_LIMIT),
+                             printable(one.hardware_id, TEXT_LIMIT), one.values)
+                for one in message]
     try:
-        reader = _Cursor(data, _FRONT + _STAMP)
+        reader = _Cursor(message, _FRONT + _STAMP)
         reader.skip(1)                          # frame_id
         return [reader.status() for _ in range(min(reader.number(), STATUSES_READ_MAX))]
     except (StructError, IndexError) as error:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from collections.abc import Sequence
 from dataclasses import dataclass
 from dataclasses import field
 from typing import Any
@@ -20,16 +19,13 @@ from typing import NamedTuple
 from mecarover_dashboard import rows
 from mecarover_dashboard.cdr import AnyStatus
 from mecarover_dashboard.cdr import CdrError
-from mecarover_dashboard.cdr import HandedStatus
+from mecarover_dashboard.cdr import Message
 from mecarover_dashboard.cdr import statuses
-from mecarover_dashboard.cdr import TEXT_LIMIT
 from mecarover_dashboard.robot_parts import parts_of
 from mecarover_dashboard.robot_parts import RobotPart
 from mecarover_dashboard.rows import RegisterTable
 from mecarover_dashboard.rows import Row
-from msg_defs.diagnostics import Status
 from msg_defs.diagnostics import status_name
-from servobus.plain import printable
 
 TABLES, TIMING = 'dxl/diagnostics', 'dxl/timing'
 OVERVIEW = '/diagnostics'
@@ -50,7 +46,6 @@ _POINTS = 60_000             # ... and its history
 _ONLY_LONG: Row = {'errors': [], 'started': None}
 
 Point = list[float | None]
-Message = bytes | Sequence[Status]
 
 
 @dataclass(slots=True)
@@ -104,13 +99,8 @@ class State:
         if len(message) > MOST_OF_MESSAGE:
             self.refused += 1
             return
-        found: Sequence[AnyStatus]
         try:
-            found = statuses(message) if isinstance(message, bytes) else [
-                HandedStatus(one.level, printable(one.name, TEXT_LIMIT),
-                             printable(one.message, TEXT_LIMIT),
-                             printable(one.hardware_id, TEXT_LIMIT), one.values)
-                for one in message]
+            found = statuses(message)
         except CdrError:
             self.malformed += 1
             return

@@ -29,6 +29,7 @@ from typing import Protocol
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 
+from mecarover_dashboard.cdr import Message
 from mecarover_dashboard.client import Client
 from mecarover_dashboard.client import json_text
 from mecarover_dashboard.connection_limit import ConnectionLimit
@@ -39,7 +40,6 @@ from mecarover_dashboard.rows import finite
 from mecarover_dashboard.signal_requests import ReportedSignals
 from mecarover_dashboard.signal_requests import SignalRequests
 from mecarover_dashboard.signal_requests import SignalSource
-from mecarover_dashboard.state import Message
 from mecarover_dashboard.state import MOST_OF_MESSAGE
 from mecarover_dashboard.state import OVERVIEW
 from mecarover_dashboard.state import State
