@@ -38,7 +38,9 @@ from mecarover_dashboard.history import Window
 from mecarover_dashboard.history import WINDOW_S
 from mecarover_dashboard.robot_parts import is_lost
 from mecarover_dashboard.robot_parts import level_of
+from mecarover_dashboard.robot_parts import place_of
 from mecarover_dashboard.robot_parts import RobotPart
+from mecarover_dashboard.robot_parts import spelt
 from mecarover_dashboard.rows import Row
 from mecarover_dashboard.state import RowReport
 from mecarover_dashboard.state import State
@@ -124,16 +126,16 @@ class _SourceLog:
                 self.findings[rule] = text != self.logged_text
                 if text != self.logged_text:
                     level = Level.ERROR if severity == 'error' else Level.WARN
-                    self._add_event(unix_s, 'finding', level, f'{_words(rule)}: {text}')
+                    self._add_event(unix_s, 'finding', level, f'{spelt(rule)}: {text}')
         for rule in self.findings.keys() - found:
             if self.findings.pop(rule) and not (is_explained or rule in causes):
-                self._add_event(unix_s, 'over', Level.OK, _words(rule))
+                self._add_event(unix_s, 'over', Level.OK, spelt(rule))
 
     def forget_findings(self, unix_s: float) -> None:
         """Record that a new monitor, which has read nothing yet, does not clear what was found."""
         for rule, is_recorded in self.findings.items():
             if is_recorded:
-                self._add_event(unix_s, 'finding', Level.STALE, f'{_words(rule)}: not known since '
+                self._add_event(unix_s, 'finding', Level.STALE, f'{spelt(rule)}: not known since '
                                 'the monitor was started again')
         self.findings.clear()
 
@@ -177,21 +179,21 @@ class HistorySampler:
 
     def sample_state(self, state: State, now_s: float, unix_s: float) -> None:
         """Take in what was reported since the last time."""
-        parts = {(part.node, part.bus): part for part in state.parts()}
+        parts = {part.place: part for part in state.parts()}
         buses = list(state.reports('buses'))
         rows_of = {report.row_name: report.row for report in buses}
         for part in parts.values():
             subject = Subject(part.row_name, 'bridge' if part.bus is None else 'buses', part.robot)
             self._source(subject).judge_part(part, rows_of.get(part.row_name), unix_s)
-        restarted = {_place(report.row) for report in buses
+        restarted = {place_of(report.row) for report in buses
                      if self._source(_subject(report, 'buses')).is_restarted(report)}
         lost: dict[tuple[str, str | None], set[str]] = {}
         for report in state.reports('devices'):
             if is_lost(report.row):
-                lost.setdefault(_place(report.row), set()).add(f'{report.row["id"]:03}')
+                lost.setdefault(place_of(report.row), set()).add(f'{report.row["id"]:03}')
         for kind in VALUES:
             for report in state.reports(kind):
-                row, place = report.row, _place(report.row)
+                row, place = report.row, place_of(report.row)
                 source = self._source(_subject(report, kind))
                 if place in restarted:
                     source.forget_findings(unix_s)
@@ -235,11 +237,6 @@ def _subject(report: RowReport, kind: str) -> Subject:
                    report.values.position_unit)
 
 
-def _place(row: Row) -> tuple[str, str | None]:
-    """Return the node and the bus of a row."""
-    return row['node'], row.get('bus')
-
-
 def _window_at(unix_s: float) -> int:
     """Return when the window of a time begins."""
     return int(unix_s) // WINDOW_S * WINDOW_S
@@ -264,10 +261,6 @@ def _values(kind: str, report: RowReport, state: State) -> Iterator[float | None
 def _widened(old: Range | None, new: Range | None) -> Range | None:
     """Return the range of both, as far as they are known."""
     return (min(old[0], new[0]), max(old[1], new[1])) if old and new else old or new
-
-
-def _words(rule: str) -> str:
-    return rule.replace('_', ' ')
 
 
 class HistoryError(Exception):

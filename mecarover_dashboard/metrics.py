@@ -25,6 +25,7 @@ from prometheus_client.exposition import choose_encoder
 
 from mecarover_dashboard import rows
 from mecarover_dashboard.robot_parts import level_of
+from mecarover_dashboard.robot_parts import place_of
 from mecarover_dashboard.rows import Row
 from mecarover_dashboard.state import RowReport
 from mecarover_dashboard.state import State
@@ -62,7 +63,7 @@ class _Scrape:
 
     def __init__(self, state: State) -> None:
         self._state = state
-        self._known = {(one.node, one.bus) for one in state.parts() if one.is_known}
+        self._known = {one.place for one in state.parts() if one.is_known}
 
     def collect(self) -> Iterator[Metric]:
         yield _gauge('problem', 'Level of what is wrong with a bridge or a bus, its devices '
@@ -86,7 +87,7 @@ class _Scrape:
     def _reports_of_now(self, section: str) -> list[RowReport]:
         """Return the devices or buses of which what is known is of now."""
         return [one for one in self._state.reports(section) if 'quiet_since' not in one.row
-                and (one.row['node'], one.row['bus']) in self._known]
+                and place_of(one.row) in self._known]
 
     def _devices(self) -> Iterator[Metric]:
         found = self._reports_of_now('devices')

@@ -13,17 +13,16 @@ from collections.abc import Mapping
 from collections.abc import Sequence
 import re
 from textwrap import shorten
-from typing import Any
 from typing import NamedTuple
 
+from mecarover_dashboard.rows import Row
 from msg_defs import status_keys as keys
 from msg_defs.diagnostics import DRIVING
 from msg_defs.diagnostics import Level
+from msg_defs.diagnostics import namespace_of
 from msg_defs.diagnostics import SEVERITY
 from msg_defs.diagnostics import status_name
 from msg_defs.diagnostics import worst
-
-Row = dict[str, Any]
 
 # What is wrong with a part, in the words of /metrics.
 NO_REPORT, PORT_CLOSED, NONE_ANSWERS = 'no report', 'port closed', 'no device answers'
@@ -73,6 +72,10 @@ class RobotPart(NamedTuple):
     total: int = 0
 
     @property
+    def place(self) -> tuple[str, str | None]:
+        return self.node, self.bus
+
+    @property
     def name(self) -> str:
         return 'bridge' if self.bus is None else f'bus {self.bus}'.strip()
 
@@ -112,8 +115,8 @@ def parts_of(devices: Iterable[Row], buses: Iterable[Row],
     rows: dict[tuple[str, str], list[Row]] = {place: [] for place in own}
     for row in devices:
         rows.setdefault((row['node'], row['bus']), []).append(row)
-    found = [_bus(*place, own.get(place), sorted(some, key=lambda one: int(one['id'])))
-             for place, some in rows.items()]
+    found = [_bus(*place, own.get(place) or _without_status(some),
+                  sorted(some, key=lambda one: int(one['id']))) for place, some in rows.items()]
     bridges: dict[str, dict[str, Row]] = {}
     for row in bridge:
         bridges.setdefault(row['node'], {})[row['part']] = row
@@ -125,6 +128,16 @@ def parts_of(devices: Iterable[Row], buses: Iterable[Row],
 def level_of(row: Row) -> Level:
     """Return the level of a row: what is not reported is silent."""
     return Level.STALE if 'quiet_since' in row else Level(row['level'])
+
+
+def place_of(row: Row) -> tuple[str, str | None]:
+    """Return the node and the bus of a row, which are those of its part."""
+    return row['node'], row.get('bus')
+
+
+def spelt(rule: str) -> str:
+    """Return the name of a rule as people write it."""
+    return rule.replace('_', ' ')
 
 
 def is_lost(row: Row) -> bool:
@@ -145,28 +158,34 @@ class _Problem(NamedTuple):
     devices: Sequence[Row] = ()
 
 
-def _bus(node: str, bus: str, row: Row | None, devices: list[Row]) -> RobotPart:
+def _without_status(devices: list[Row]) -> Row:
+    """Return the row of a bus of which only the devices are reported."""
+    row: Row = {'level': Level.OK, 'message': '', 'live': True, 'findings': []}
+    times = [one['quiet_since'] for one in devices if 'quiet_since' in one]
+    return row | {'quiet_since': max(times)} if len(times) == len(devices) else row
+
+
+def _bus(node: str, bus: str, row: Row, devices: list[Row]) -> RobotPart:
     live = sum(bool(one['live']) for one in devices)
-    message = '' if row is None else str(row['message'])
-    since = _since(row, devices)
+    message, since = str(row['message']), row.get('quiet_since')
     if since is not None:
         level, found = Level.STALE, [_Problem(
             NO_REPORT, f'No report from {node}: nothing is known of its {_counted(devices)}; '
                        'start it again')]
-    elif row is not None and not row['live']:
+    elif not row['live']:
         level, found = Level.ERROR, [_Problem(PORT_CLOSED, message)]
     else:
-        level, found = _judged(Level.OK if row is None else level_of(row), message, devices, live)
+        level, found = _judged(level_of(row), message, devices, live)
     well = '' if found else _well(devices, message)
-    rules = {text: _spelt(rule) for rule, text, _ in ([] if row is None else row['findings'])}
+    rules = {text: spelt(rule) for rule, text, _ in row['findings']}
     count, mark = _mark(found, rules)
     prefix = bus if bus or since is None else node.rpartition('/')[2]
     general = [one.text for one in found if not one.devices]
-    number, sick = _mark([one for one in found if one.devices])
+    number, sick = _mark([one for one in found if one.devices], rules)
     headline = '; '.join(filter(None, (
         *general, f'{number} problems: {sick}' if number > 1 else sick)))
     return RobotPart(
-        status_name(node, f'bus {bus}'.strip()), (row or devices[0])['robot'], node, bus, level,
+        status_name(node, f'bus {bus}'.strip()), namespace_of(node), node, bus, level,
         tuple(dict.fromkeys(one.word for one in found)),
         f'{prefix}: {mark}' if prefix and mark else mark, headline or well,
         '; '.join(one.text for one in found) or well,
@@ -174,7 +193,7 @@ def _bus(node: str, bus: str, row: Row | None, devices: list[Row]) -> RobotPart:
         general[0] if general else '', count, since, live, len(devices))
 
 
-def _mark(found: list[_Problem], rules: Mapping[str, str] = {}) -> tuple[int, str]:
+def _mark(found: list[_Problem], rules: Mapping[str, str]) -> tuple[int, str]:
     """Return how many problems there are, and '007 silent; noise'; rules: names of texts."""
     ids: dict[str, list[str]] = {}
     for one in found:
@@ -194,12 +213,8 @@ def _trouble(row: Row) -> str:
     if is_lost(row) and CUT not in rules:
         return SILENT
     if rules and HARDWARE not in rules:
-        return _spelt(rules[0])
+        return spelt(rules[0])
     return _beginning(str(row['message']))     # which error it is
-
-
-def _spelt(rule: str) -> str:
-    return rule.replace('_', ' ')
 
 
 def _beginning(text: str) -> str:
@@ -278,14 +293,6 @@ def _bridge(node: str, rows: dict[str, Row]) -> RobotPart:
     return RobotPart(status_name(node, 'link'), worse['robot'], node, None, level,
                      (problem,) if problem else (), mark and f'bridge: {mark}', text,
                      text, of_part=text, number=bool(mark), since=since)
-
-
-def _since(row: Row | None, devices: list[Row]) -> float | None:
-    """Return when a bus was reported last, None while it is."""
-    if row is not None:
-        return row.get('quiet_since')
-    times = [one['quiet_since'] for one in devices if 'quiet_since' in one]
-    return max(times) if len(times) == len(devices) else None
 
 
 def _names(some: list[Row]) -> str:

@@ -13,6 +13,7 @@ from typing import Any
 from mecarover_dashboard import rows
 from mecarover_dashboard.robot_parts import device_name
 from mecarover_dashboard.robot_parts import level_of
+from mecarover_dashboard.robot_parts import place_of
 from mecarover_dashboard.robot_parts import RobotPart
 from mecarover_dashboard.state import RowReport
 from mecarover_dashboard.state import State
@@ -52,8 +53,7 @@ def _head(part: RobotPart) -> Data:
 
 
 def _reports(state: State, section: str, part: RobotPart) -> list[RowReport]:
-    return [one for one in state.reports(section)
-            if (one.row['node'], one.row.get('bus')) == (part.node, part.bus)]
+    return [one for one in state.reports(section) if place_of(one.row) == part.place]
 
 
 def _device(state: State, report: RowReport) -> Data:

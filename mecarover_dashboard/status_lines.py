@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from mecarover_dashboard import rows
 from mecarover_dashboard.robot_parts import level_of
+from mecarover_dashboard.robot_parts import place_of
 from mecarover_dashboard.state import RowReport
 from mecarover_dashboard.state import State
 from msg_defs.diagnostics import CONNECTED
@@ -139,10 +140,10 @@ def _lines(state: State, now_s: float, every_device: bool | None) -> Iterator[St
     for part in state.parts():
         yield StatusLine(part.level, part.robot, part.name, part.sentence(now_s))
         if part.hides_devices:
-            hiding.add((part.node, part.bus))
+            hiding.add(part.place)
     for report in () if every_device is None else state.reports('devices'):
         row, level = report.row, level_of(report.row)
-        is_shown_above = level is Level.OK or (row['node'], row['bus']) in hiding
+        is_shown_above = level is Level.OK or place_of(row) in hiding
         if every_device or not is_shown_above:
             yield StatusLine(level, row['robot'], rows.split_name(report.row_name)[1],
                              _message(row, now_s))
