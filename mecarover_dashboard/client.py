@@ -9,9 +9,7 @@ import zlib
 
 from aiohttp import web
 
-from mecarover_dashboard.rows import calm
 from mecarover_dashboard.rows import RegisterTable
-from mecarover_dashboard.rows import steady_position
 from mecarover_dashboard.state import State
 
 _Shown = tuple[str, ...]        # temperature, voltage, load, unit, position, its unit, limits
@@ -53,8 +51,8 @@ class Client:
         """Return what is shown of the devices where that changed."""
         if not self._wants_values:
             return {}
-        now = {name: (one.temperature, calm(one.voltage, 3), calm(one.load, 2), one.unit,
-                      steady_position(one.position), one.position_unit, *one.limits)
+        now = {name: (one.temperature, one.voltage, one.load, one.unit, one.position,
+                      one.position_unit, *one.limits)
                for name, one in state.values().items()}
         changed = {name: one for name, one in now.items() if self._values.get(name) != one}
         self._values = now

@@ -68,6 +68,11 @@ class Values(NamedTuple):
     position_unit: str                  # rad; of an axis that does not turn m
     limits: tuple[str, ...] = ()        # position (2), temperature, voltage (2)
 
+    def calm(self) -> Values:
+        """Return what is shown; positions to 0.001: servos count many turns."""
+        return self._replace(voltage=calm(self.voltage, 3), load=calm(self.load),
+                             position=rounded(self.position, 3))
+
 
 NOTHING = Values('', '', '', '', '', '')
 
@@ -230,10 +235,10 @@ def calm(text: str, digits: int = 2) -> str:
     return text if value is None else number(float(f'{value:.{digits}g}'))
 
 
-def steady_position(text: str) -> str:
-    """Round a position to 0.001 rad or m, however far it is: servos count many turns."""
+def rounded(text: str, decimals: int) -> str:
+    """Round a number to so many decimals."""
     value = finite(text)
-    return text if value is None else number(round(value, 3))
+    return text if value is None else number(round(value, decimals))
 
 
 def finite(text: str) -> float | None:

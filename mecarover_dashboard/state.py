@@ -260,8 +260,8 @@ class State:
         return found[1] if found is not None and found[0] == key else ''
 
     def values(self) -> dict[str, rows.Values]:
-        """Return the values of all devices that reported any, empty where they are not of now."""
-        return {name: _values_now(entry) for name, entry in self._entries['devices'].items()
+        """Return what is shown of all devices with values, empty where they are not of now."""
+        return {name: _values_now(entry).calm() for name, entry in self._entries['devices'].items()
                 if entry.values is not rows.NOTHING}
 
     def latency(self, name: str, after_s: float) -> list[Point]:

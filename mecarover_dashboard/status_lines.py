@@ -19,7 +19,6 @@ from mecarover_dashboard.state import RowReport
 from mecarover_dashboard.state import State
 from msg_defs.diagnostics import CONNECTED
 from msg_defs.diagnostics import Level
-from msg_defs.diagnostics import number
 from msg_defs.diagnostics import SEVERITY
 from msg_defs.diagnostics import worst
 from servobus.plain import printable
@@ -113,20 +112,15 @@ def _joined(line: str, cause: str, width: int) -> str:
 
 
 def _device_line(report: RowReport, now_s: float) -> DeviceLine:
-    row, values = report.row, report.values
-    load = f'{_rounded(rows.calm(values.load), 2)} {values.unit}'.strip()
-    position = rows.steady_position(values.position)
+    row, values = report.row, report.values.calm()
+    load = f'{rows.rounded(values.load, 2)} {values.unit}'.strip()
+    position = values.position
     if values.position_unit != 'rad':
         position = f'{position} {values.position_unit}'.strip()
     name = '/'.join(filter(None, (row['robot'], rows.split_name(report.row_name)[1])))
     return DeviceLine(level_of(row), printable(name, 40), row['model'], (
-        position, values.temperature, rows.calm(values.voltage, 3), load,
+        position, values.temperature, values.voltage, load,
         '' if 'quiet_since' in row else row['loss']), _message(row, now_s))
-
-
-def _rounded(text: str, decimals: int) -> str:
-    value = rows.finite(text)
-    return text if value is None else number(round(value, decimals))
 
 
 def _message(row: rows.Row, now_s: float) -> str:

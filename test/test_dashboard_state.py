@@ -7,7 +7,7 @@ from synthetic_robot import serialise
 from synthetic_robot import SyntheticRobot
 
 from mecarover_dashboard import cdr
-from mecarover_dashboard.rows import steady_position
+from mecarover_dashboard.rows import rounded
 from mecarover_dashboard.state import FORGET_S
 from mecarover_dashboard.state import MOST_OF_MESSAGE
 from mecarover_dashboard.state import MOST_OF_STATUS
@@ -311,7 +311,7 @@ def test_a_position_has_its_unit_and_is_exact_many_turns_away(unit, limits):
         (f'Present Position ({unit})', '1608.49'), ('Min Position Limit (rad)', '-3.14'),
         ('Max Position Limit (rad)', '3.14')]))
     [values] = state.values().values()
-    assert (steady_position(values.position), values.position_unit) == ('1608.49', unit)
+    assert (values.position, values.position_unit) == ('1608.49', unit)
     assert values.limits[:2] == limits
-    assert steady_position('0.05321') == '0.053'
-    assert steady_position('NaN') == 'NaN'
+    assert rounded('0.05321', 3) == '0.053'
+    assert rounded('NaN', 3) == 'NaN'
