@@ -111,18 +111,13 @@ class RecordingRun(SourceRun):
             time.sleep(TURN_S)
 
     def _go(self, stamp: int) -> None:
+        """Hear what is missing up to a stamp: to go back, all from the first byte."""
         if stamp < self._now:
             self.restart()
-            self._again(stamp)
-        else:
-            self._forward(stamp)
-
-    def _again(self, stamp: int) -> None:
-        """Hear all from the first byte up to a stamp."""
-        self._file.close()
-        self._heard.clear()
-        self._feed.clear()
-        self._begin()
+            self._file.close()
+            self._heard.clear()
+            self._feed.clear()
+            self._begin()
         self._forward(stamp)
 
     def _forward(self, until: int) -> None:

@@ -100,23 +100,18 @@ def section(status: AnyStatus) -> str:
         return 'bridge'
     if rest.partition(' ')[0] == 'bus' and keys.PORT in names:
         return 'buses'
-    if _DEVICE.match(_own_name(status, rest)) and {keys.MODEL, keys.STATE} <= names:
+    if _DEVICE.match(_bus_and_name(status)[1]) and {keys.MODEL, keys.STATE} <= names:
         return 'devices'
     return ''
 
 
-def _bus_of(status: AnyStatus) -> str:
-    """Return the bus of a device, '' where its node has only one; older: '[BUS/]11'."""
+def _bus_and_name(status: AnyStatus) -> tuple[str, str]:
+    """Return the bus of a device, '' where its node has only one, and its name without that."""
     node, rest = split_name(status.name)
+    # hardware_id in older recordings: '[BUS/]11'.
     bus = status.hardware_id.removeprefix(f'{namespace_of(node)}/').rpartition('/')[0]
     bus = bus.removeprefix(BUS_HARDWARE)
-    return bus if rest.startswith(f'{bus}/') else ''
-
-
-def _own_name(status: AnyStatus, rest: str) -> str:
-    """Return the name of a device without its bus."""
-    bus = _bus_of(status)
-    return rest.removeprefix(f'{bus}/') if bus else rest
+    return (bus, rest[len(bus) + 1:]) if bus and rest.startswith(f'{bus}/') else ('', rest)
 
 
 def metric_of(status: AnyStatus) -> str:
@@ -138,12 +133,13 @@ def row(kind: str, status: AnyStatus) -> Row:
     return common | _MAKERS[kind](status, rest)
 
 
-def _device(status: AnyStatus, rest: str) -> Row:
+def _device(status: AnyStatus, _: str) -> Row:
     pairs = _head(status)
     values = dict(reversed(pairs))      # a field of the table may be called like a fact
-    id_, _, joint = _own_name(status, rest).partition(' ')
+    bus, name = _bus_and_name(status)
+    id_, _, joint = name.partition(' ')
     return {
-        'bus': _bus_of(status),
+        'bus': bus,
         'id': int(id_),
         'joint': joint,
         'model': values[keys.MODEL],
