@@ -58,15 +58,12 @@ class Display:
                  least_s: float = 0.0) -> None:
         """Take the options of make_parser(), and the shortest wait with --once."""
         self._state = state
-        self._wait_s = options.wait if options.once else None     # the longest
+        self._options = options
         self._least_s = least_s
-        self._every_device = options.all
-        self._is_json = options.json
         self._nothing = nothing
         self._terminal = os.dup(sys.stdout.fileno()) \
             if sys.stdout.isatty() and not options.json else None
-        self._keys = Keyboard(self._wait_s is None and self._terminal is not None)
-        self._has_colours = not os.environ.get('NO_COLOR')
+        self._keys = Keyboard(not options.once and self._terminal is not None)
         self._sort = 'w'
         self._top = 0               # the first row shown
         self._begin = time.monotonic()
@@ -76,21 +73,18 @@ class Display:
 
     def show_state(self, now_s: float) -> bool:
         """Show what is due; return whether that was all."""
-        if self._wait_s is not None:
-            return self._once(now_s, self._wait_s)
+        if self._options.once:
+            return self._once(now_s)
         for key in self._keys.pressed():
             if key == 'q':
                 return True
             self._sort = key if key in SORTS else self._sort
             self._top += _STEPS.get(key, 0)
             self._shown_s = -math.inf
-        if now_s - self._shown_s < (JSON_S if self._is_json else SHOW_S):
-            return False
-        self._shown_s = now_s
-        if self._is_json:
-            self._print_json(now_s)
-        else:
-            self._show_lines(now_s)
+        is_json = self._options.json
+        if now_s - self._shown_s >= (JSON_S if is_json else SHOW_S):
+            self._shown_s = now_s
+            (self._print_json if is_json else self._show_lines)(now_s)
         return False
 
     def _print_json(self, now_s: float) -> None:
@@ -98,7 +92,7 @@ class Display:
 
     def _show_lines(self, now_s: float) -> None:
         lines = screen(status_lines(
-            self._state, now_s, self._every_device if self._terminal is None else None))
+            self._state, now_s, self._options.all if self._terminal is None else None))
         if self._terminal is not None:
             width, height = os.get_terminal_size(self._terminal)
             lines += table(self._state, now_s, self._sort, width - 1)
@@ -113,15 +107,15 @@ class Display:
         if self._terminal is not None and self._last:
             print(flush=True)
 
-    def _once(self, now_s: float, wait_s: float) -> bool:
+    def _once(self, now_s: float) -> bool:
         grown = self._state.grown_s
         waited_s = now_s - self._begin
         is_settled = grown and now_s - grown > SETTLED_S and waited_s > self._least_s
-        if waited_s < wait_s and not is_settled:
+        if waited_s < self._options.wait and not is_settled:
             return False
-        found = status_lines(self._state, now_s, self._every_device)
+        found = status_lines(self._state, now_s, self._options.all)
         self.code = exit_code(self._state)
-        if self._is_json:
+        if self._options.json:
             self._print_json(now_s)
         elif found:
             print('\n'.join(screen(found)), flush=True)
@@ -132,7 +126,7 @@ class Display:
     def _paint(self, lines: list[str], width: int, height: int) -> None:
         """Write the lines over the last ones, in full: long ones take several rows."""
         width = max(20, width - 1)
-        rows = [self._coloured(line, row) for line in lines for part in line.split('\n')
+        rows = [_coloured(line, row) for line in lines for part in line.split('\n')
                 for row in textwrap.wrap(part, width, subsequent_indent=INDENT)]
         hint = _KEYS if self._keys.is_on else 'make the terminal larger to see more'
         longest = f'rows {len(rows)} to {len(rows)} of {len(rows)}; {hint}'
@@ -147,9 +141,10 @@ class Display:
         last = '\n'.join(textwrap.wrap('; '.join(foot), width))
         on_screen(sys.stdout, f'{begin}{text}\n{_CLEAR_BELOW}{last}\r')
 
-    def _coloured(self, line: str, row: str) -> str:
-        colour = _COLOURS.get(line.partition(' ')[0], '') if self._has_colours else ''
-        return f'{colour}{row}\033[m' if colour else row
+
+def _coloured(line: str, row: str) -> str:
+    colour = '' if os.environ.get('NO_COLOR') else _COLOURS.get(line.partition(' ')[0], '')
+    return f'{colour}{row}\033[m' if colour else row
 
 
 @plain_streams()
