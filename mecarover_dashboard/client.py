@@ -9,6 +9,7 @@ import zlib
 
 from aiohttp import web
 
+from mecarover_dashboard.rows import natural
 from mecarover_dashboard.rows import RegisterTable
 from mecarover_dashboard.state import State
 
@@ -39,7 +40,7 @@ class Client:
     def since(self, boot: str) -> int:
         """Return the version that this page knows; 0 if that was before we were started."""
         of, _, version = self._request.query.get('since', '').partition('.')
-        return int(version) if of == boot and version.isdecimal() and len(version) < 16 else 0
+        return natural(version) if of == boot else 0
 
     def own_text(self, state: State) -> str:
         """Return the end of an event: what changed of what only this page looks at."""

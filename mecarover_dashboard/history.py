@@ -18,6 +18,7 @@ from pathlib import Path
 import sqlite3
 from typing import NamedTuple
 
+from msg_defs.diagnostics import Level
 from servobus.plain import printable
 
 VERSION = 1
@@ -66,7 +67,7 @@ class Window(NamedTuple):
 
     at: int
     source: Subject
-    level: int                  # the worst
+    level: Level                # the worst
     ranges: tuple[Range | None, ...]    # one for each of VALUES; None: nothing is known
 
 
@@ -81,12 +82,17 @@ class Event(NamedTuple):
 
 
 class Question(NamedTuple):
-    """What is asked of a history; times in Unix s. `of`: names of sources, none = all."""
+    """
+    What is asked of a history; times in Unix s.
+
+    of: names of sources, none = all. points: of each source, about, where values are thinned out.
+    """
 
     from_s: float
     to_s: float
     of: tuple[str, ...] = ()
     robot: str | None = None
+    points: int = 1
 
 
 class DamagedError(Exception):
@@ -266,7 +272,7 @@ class HistoryReader:
                 old if new is None else new
                 for new, old in zip(stored[:2 * count], before, strict=True))
             if at >= from_s // WINDOW_S * WINDOW_S:
-                yield Window(at, source, level, tuple(
+                yield Window(at, source, Level(level), tuple(
                     (low / 1000, high / 1000) if low <= high else None
                     for low, high in zip(pairs[::2], pairs[1::2], strict=True)))
 
@@ -282,6 +288,11 @@ def _stored(ends: Range | None) -> tuple[int, int]:
     if ends is None or max(map(abs, ends)) > _FAR:
         return _UNKNOWN
     return round(1000 * ends[0]), round(1000 * ends[1])
+
+
+def widened(old: Range | None, new: Range | None) -> Range | None:
+    """Return the range of both, as far as they are known."""
+    return (min(old[0], new[0]), max(old[1], new[1])) if old and new else old or new
 
 
 def is_read_only(path: Path) -> bool:

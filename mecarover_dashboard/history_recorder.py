@@ -30,10 +30,10 @@ from mecarover_dashboard import rows
 from mecarover_dashboard.history import DamagedError
 from mecarover_dashboard.history import Event
 from mecarover_dashboard.history import HistoryWriter
-from mecarover_dashboard.history import Range
 from mecarover_dashboard.history import set_aside
 from mecarover_dashboard.history import Subject
 from mecarover_dashboard.history import VALUES
+from mecarover_dashboard.history import widened
 from mecarover_dashboard.history import Window
 from mecarover_dashboard.history import WINDOW_S
 from mecarover_dashboard.robot_parts import is_lost
@@ -45,7 +45,7 @@ from mecarover_dashboard.rows import Row
 from mecarover_dashboard.state import RowReport
 from mecarover_dashboard.state import State
 from msg_defs.diagnostics import Level
-from msg_defs.diagnostics import SEVERITY
+from msg_defs.diagnostics import worst
 
 EVENT_FLUSH_S = 5.0
 LIMIT_S = 300.0                 # between two looks at the size
@@ -139,7 +139,7 @@ class _SourceLog:
                                 'the monitor was started again')
         self.findings.clear()
 
-    def add_values(self, level: int, values: tuple[float | None, ...], unix_s: float) -> None:
+    def add_values(self, level: Level, values: tuple[float | None, ...], unix_s: float) -> None:
         """Put what was reported into the window of this time."""
         at = _window_at(unix_s)
         ranges = tuple(None if value is None else (value, value) for value in values)
@@ -147,8 +147,8 @@ class _SourceLog:
         if old is None:
             self.windows[at], self.errors = Window(at, self.subject, level, ranges), 0
             return
-        self.windows[at] = Window(at, self.subject, max(old.level, level, key=SEVERITY.index),
-                                  tuple(map(_widened, old.ranges, ranges)))
+        self.windows[at] = Window(at, self.subject, worst((old.level, level)),
+                                  tuple(map(widened, old.ranges, ranges)))
 
     def add_errors(self, row: Row, offset_s: float, lost: set[str]) -> None:
         """Record the errors that are new, the oldest first, but for those of lost devices."""
@@ -256,11 +256,6 @@ def _values(kind: str, report: RowReport, state: State) -> Iterator[float | None
         yield from (state.figure(node, bus, metric) for metric in VALUES['buses'])
     else:
         yield from (None for _ in VALUES[kind])
-
-
-def _widened(old: Range | None, new: Range | None) -> Range | None:
-    """Return the range of both, as far as they are known."""
-    return (min(old[0], new[0]), max(old[1], new[1])) if old and new else old or new
 
 
 class HistoryError(Exception):

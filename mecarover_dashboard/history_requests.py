@@ -12,6 +12,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from collections.abc import Iterator
+from contextlib import closing
 import csv
 from datetime import datetime
 from datetime import timezone
@@ -31,8 +32,10 @@ from mecarover_dashboard.client import json_text
 from mecarover_dashboard.history import HistoryReader
 from mecarover_dashboard.history import Question
 from mecarover_dashboard.history import VALUES
+from mecarover_dashboard.history import widened
 from mecarover_dashboard.history import Window
 from mecarover_dashboard.history import WINDOW_S
+from mecarover_dashboard.rows import natural
 from mecarover_dashboard.written_time import EXAMPLES
 from mecarover_dashboard.written_time import unix_time
 from msg_defs.diagnostics import Level
@@ -40,7 +43,7 @@ from msg_defs.diagnostics import worst
 
 MOST_AT_ONCE = 4                # questions; a day of 253 devices takes seconds of a core
 _MOST_POINTS = 20_000           # all sources together: six values of each take 20 MB
-_POINTS = 600
+_POINTS, _POINTS_MAX = 600, 10_000     # of each source
 _MOST_EVENTS = 1000             # on the page; a CSV has them all
 _ALL_EVENTS = 10_000_000
 _ROWS = 2000                    # rows of a CSV written at a time
@@ -65,25 +68,22 @@ class HistoryRequests:
         return await self._answer(request, _events_json, _events_csv)
 
     async def _answer(self, request: web.Request,
-                      as_json: Callable[[HistoryReader, Question, int], Any],
+                      as_json: Callable[[HistoryReader, Question], Any],
                       as_csv: Callable[[HistoryReader, Question], Iterator[list[str]]],
                       ) -> web.StreamResponse:
         if self._path is None:
             return web.Response(status=404, text='No history is recorded: the server was started '
                                 'with --history none.\n')
         try:
-            question, points = _question(request)
+            question = _question(request)
         except ValueError as error:
             return web.Response(status=400, text=f'{error}\n')
         try:
             async with self._free:
-                reader = await asyncio.to_thread(HistoryReader, self._path)
-                try:
+                with closing(await asyncio.to_thread(HistoryReader, self._path)) as reader:
                     if request.query.get('format') == 'csv':
                         return await _stream(request, as_csv(reader, question))
-                    answer = json_text(await asyncio.to_thread(as_json, reader, question, points))
-                finally:
-                    reader.close()
+                    answer = json_text(await asyncio.to_thread(as_json, reader, question))
         except sqlite3.Error as error:
             problem = str(error)
         except _WRONG_VALUE as error:
@@ -121,8 +121,8 @@ async def _stream(request: web.Request, lines: Iterator[list[str]]) -> web.Strea
     return response
 
 
-def _question(request: web.Request) -> tuple[Question, int]:
-    """Read the query, and its points; raise ValueError with what is wrong and what is wanted."""
+def _question(request: web.Request) -> Question:
+    """Read the query; raise ValueError with what is wrong and what is wanted."""
     query = request.query
     now_s, zone = time.time(), _zone(query.get('zone'))
     to_s = _time(query.get('to', 'now'), now_s, zone, 'to')
@@ -131,11 +131,10 @@ def _question(request: web.Request) -> tuple[Question, int]:
         raise ValueError('from: is later than to; swap them')
     if query.get('format', 'json') not in ('json', 'csv'):
         raise ValueError('format: not known; give json or csv')
-    points = query.get('points', str(_POINTS))
-    if not points.isdecimal() or not 1 <= int(points[:9]) <= 10_000:
-        raise ValueError('points: not a number from 1 to 10000; correct it')
-    return (Question(from_s, to_s, tuple(query.getall('of', ())), query.get('robot')),
-            int(points))
+    points = natural(query.get('points', str(_POINTS)))
+    if not 1 <= points <= _POINTS_MAX:
+        raise ValueError(f'points: not a number from 1 to {_POINTS_MAX}; correct it')
+    return Question(from_s, to_s, tuple(query.getall('of', ())), query.get('robot'), points)
 
 
 def _time(text: str, now_s: float, zone: tzinfo | None, name: str) -> float:
@@ -154,10 +153,10 @@ def _zone(text: str | None) -> tzinfo | None:
         raise ValueError(f'zone: {text[:40]!r} is not an offset; write +01:00') from None
 
 
-def _values_json(reader: HistoryReader, question: Question, most: int) -> dict[str, Any]:
+def _values_json(reader: HistoryReader, question: Question) -> dict[str, Any]:
     """Return by source its level and its values: [[s, low, high], ...], thinned out."""
     span_s = question.to_s - question.from_s
-    points = max(1, min(most, _MOST_POINTS // max(1, reader.count(question))))
+    points = max(1, min(question.points, _MOST_POINTS // max(1, reader.count(question))))
     step_s = max(1, math.ceil(span_s / points / WINDOW_S)) * WINDOW_S
     sources: dict[str, Any] = {}
     for window in reader.windows(question):
@@ -171,19 +170,18 @@ def _values_json(reader: HistoryReader, question: Question, most: int) -> dict[s
 
 def _merge(source: dict[str, Any], window: Window, at: int) -> None:
     """Put a window into the points of its source; those of one step become one."""
-    levels, level = source['levels'], Level(window.level)
+    levels = source['levels']
     if levels and levels[-1][0] == at:
-        levels[-1][1] = worst([levels[-1][1], level])
+        levels[-1][1] = worst([levels[-1][1], window.level])
     else:
-        levels.append([at, level])
+        levels.append([at, window.level])
     for points, ends in zip(source['values'].values(), window.ranges, strict=True):
         if ends is None:
             continue
-        low, high = ends
         if points and points[-1][0] == at:
-            points[-1][1:] = min(points[-1][1], low), max(points[-1][2], high)
+            points[-1][1:] = widened(points[-1][1:], ends)
         else:
-            points.append([at, low, high])
+            points.append([at, *ends])
 
 
 def _values_csv(reader: HistoryReader, question: Question) -> Iterator[list[str]]:
@@ -192,13 +190,13 @@ def _values_csv(reader: HistoryReader, question: Question) -> Iterator[list[str]
     for window in reader.windows(question):
         ranges = dict(zip(VALUES[window.source.kind], window.ranges, strict=True))
         yield [_iso(window.at), _cell(window.source.robot), _cell(window.source.name),
-               Level(window.level).name, _cell(window.source.unit),
+               window.level.name, _cell(window.source.unit),
                *('' if end is None else f'{end:g}'
                  for name in _CSV_VALUES for end in ranges.get(name) or (None, None)),
                _cell(window.source.position_unit)]
 
 
-def _events_json(reader: HistoryReader, question: Question, _: int) -> dict[str, Any]:
+def _events_json(reader: HistoryReader, question: Question) -> dict[str, Any]:
     gaps = reader.gaps(question.from_s, min(question.to_s, time.time()))
     return {'from': question.from_s, 'to': question.to_s, 'most': _MOST_EVENTS, 'gaps': gaps,
             'events': [[event.at, event.source.name, event.source.robot, event.kind, event.level,

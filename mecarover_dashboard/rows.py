@@ -246,6 +246,11 @@ def finite(text: str) -> float | None:
     return value if abs(value) < 1e300 else None        # False for NaN, too
 
 
+def natural(text: str) -> int:
+    """Return the number in a text, 0 where it is none or too long for one of ours."""
+    return int(text) if text.isdecimal() and len(text) < 17 else 0
+
+
 def table(status: AnyStatus, arrived_s: float,
           before: RegisterTable | None = None) -> RegisterTable:
     """Return facts and fields of a device status; `observed` decides which keys are fields."""

@@ -128,8 +128,7 @@ class SignalRequests:
             reason = f'All pages together may show {MOST_OF_ALL} registers; close one of them.'
             return web.Response(status=503, text=f'{reason}\n')
         self._asked |= chosen
-        found = [self._source.signal(name, key, int(after) if after.isdecimal()
-                                     and len(after) < 17 else 0) or _NOTHING
+        found = [self._source.signal(name, key, rows.natural(after)) or _NOTHING
                  for name, key, after in asked]
         head = [*self._source.clock(), *(number for one in found for number in (
             (1 + one.is_written) * (one is not _NOTHING), one.first, len(one.data) // POINT.size))]
