@@ -10,7 +10,6 @@ that no path leads outside. Runs with aiohttp 3.9 and newer; all state belongs t
 from __future__ import annotations
 
 import asyncio
-from collections import deque
 from collections.abc import Awaitable
 from collections.abc import Callable
 from contextlib import suppress
@@ -36,11 +35,11 @@ from mecarover_dashboard.connection_limit import ConnectionLimit
 from mecarover_dashboard.connection_limit import HEAD_S
 from mecarover_dashboard.history_recorder import History
 from mecarover_dashboard.history_requests import HistoryRequests
+from mecarover_dashboard.inbox import Inbox
 from mecarover_dashboard.rows import finite
 from mecarover_dashboard.signal_requests import ReportedSignals
 from mecarover_dashboard.signal_requests import SignalRequests
 from mecarover_dashboard.signal_requests import SignalSource
-from mecarover_dashboard.state import MOST_OF_MESSAGE
 from mecarover_dashboard.state import OVERVIEW
 from mecarover_dashboard.state import State
 from msg_defs.status_keys import FIGURES
@@ -52,9 +51,6 @@ BEAT_S = 1.0                    # at least one event in this time: the page can 
 SEND_S = 15.0                   # a client that takes nothing for so long is given up
 MOST_CLIENTS = 50
 _OF_A_PAGE = ('/events', '/signals')    # not for pages elsewhere: each costs work as it goes on
-_RESTART = 'restart'             # in place of a topic
-INBOX = 400                     # messages; what does not fit was overtaken anyway
-INBOX_BYTES = 64_000_000
 
 _TYPES = {'html': 'text/html', 'css': 'text/css', 'js': 'text/javascript',
           'svg': 'image/svg+xml'}
@@ -107,7 +103,6 @@ class Server:
 
     | attributes | who writes them |
     |---|---|
-    | _inbox, _inbox_bytes | queue_message(), from any thread; the server's takes out |
     | _publishers, _recording | store_publishers(), stop(): from any thread |
     | _loop, _ended, _haste | the server's thread, when it begins |
     | _pushed, _texts, _watched, _scraped | the server's thread |
@@ -127,9 +122,7 @@ class Server:
         self._names = frozenset(names)
         self._boot = secrets.token_hex(4)       # versions count from the start of this process
         self._facts = facts | {'boot': self._boot, 'open': is_open}
-        self._inbox: deque[tuple[str, Message, float]] = deque()
-        self._inbox_bytes = 0
-        self._inbox_lock = threading.Lock()
+        self._inbox = Inbox()
         self._state = State()
         self._recording = recording
         self._player = player
@@ -173,13 +166,7 @@ class Server:
 
     def queue_message(self, topic: str, message: Message) -> None:
         """Take a DiagnosticArray, serialised or not; it is looked at with the next push."""
-        if len(message) > MOST_OF_MESSAGE:
-            message = b''                       # counted as malformed, and takes no one's room
-        with self._inbox_lock:
-            self._inbox.append((topic, message, time.monotonic()))
-            self._inbox_bytes += len(message)
-            while len(self._inbox) > INBOX or self._inbox_bytes > INBOX_BYTES:
-                self._inbox_bytes -= len(self._inbox.popleft()[1])
+        self._inbox.put(topic, message, time.monotonic())
         # The nodes publish changes of level there; what is handed over has them in it.
         if (topic == OVERVIEW or not isinstance(message, bytes)) and self._loop is not None:
             with suppress(RuntimeError):                    # it has just ended
@@ -187,10 +174,7 @@ class Server:
 
     def restart(self) -> None:
         """Forget all that was taken: what comes next is of another time."""
-        with self._inbox_lock:
-            self._inbox.clear()
-            self._inbox_bytes = 0
-            self._inbox.append((_RESTART, b'', 0.0))
+        self._inbox.restart()
 
     def store_publishers(self, counts: dict[str, int]) -> None:
         """Take how many publishers each topic has."""
@@ -266,15 +250,13 @@ class Server:
         """Take in what has come, and let the clients' tasks send what changed."""
         state, now_s = self._state, time.monotonic()
         before = state.version
-        with self._inbox_lock:
-            inbox, self._inbox, self._inbox_bytes = self._inbox, deque(), 0
-        for topic, message, arrived_s in inbox:
-            if topic == _RESTART:
-                before, state = -1, State(state.namespace)
-                self._state, self._boot = state, secrets.token_hex(4)
-                self._facts['boot'] = self._boot
-            else:
-                state.store_message(topic, message, arrived_s)
+        is_restarted, messages = self._inbox.take()
+        if is_restarted:
+            before, state = -1, State(state.namespace)
+            self._state, self._boot = state, secrets.token_hex(4)
+            self._facts['boot'] = self._boot
+        for message in messages:
+            state.store_message(*message)
         state.expire(now_s)
         self._signals.forget(now_s)
         if self._is_sampled:

@@ -1,6 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """The web server of the dashboard: what it serves, to whom, how its stream goes on."""
+from collections import deque
 import gzip
 from http.client import HTTPConnection
 from importlib import util
@@ -21,6 +22,9 @@ import pytest
 from synthetic_robot import SyntheticRobot
 
 from mecarover_dashboard.cdr import HandedStatus
+from mecarover_dashboard.inbox import Inbox
+from mecarover_dashboard.inbox import MOST_BYTES
+from mecarover_dashboard.inbox import MOST_MESSAGES
 from mecarover_dashboard.signal_requests import ReportedSignals
 from mecarover_dashboard.web_server import is_ours
 from rigs.tables import rows_of
@@ -221,28 +225,31 @@ def test_stop_ends_open_streams(dashboard):
     stream.close()
 
 
-def test_an_inbox_that_nobody_empties_is_bounded(dashboard):
-    from mecarover_dashboard.web_server import INBOX
-    dashboard.stop()
-    for _ in range(2 * INBOX):
-        dashboard.server.queue_message('/diagnostics', b'')
-    assert len(dashboard.server._inbox) == INBOX
+def waiting(*sizes, restarted_at=None):
+    """Return what an inbox says that got messages of so many bytes."""
+    inbox = Inbox()
+    for at, size in enumerate(sizes):
+        if at == restarted_at:
+            inbox.restart()
+        inbox.put('/diagnostics', bytes(size), 1.0)
+    is_restarted, messages = inbox.take()
+    assert inbox.take() == (False, deque())
+    return is_restarted, [len(message) for _, message, _ in messages]
 
 
-def test_an_inbox_is_bounded_in_bytes_too(dashboard, monkeypatch):
-    monkeypatch.setattr('mecarover_dashboard.web_server.INBOX_BYTES', 1000)
-    dashboard.stop()
-    for _ in range(20):
-        dashboard.server.queue_message('/diagnostics', bytes(300))
-    assert len(dashboard.server._inbox) == 3
+def test_an_inbox_that_nobody_empties_is_bounded(monkeypatch):
+    assert waiting(*[0] * 2 * MOST_MESSAGES) == (False, [0] * MOST_MESSAGES)
+    monkeypatch.setattr('mecarover_dashboard.inbox.MOST_BYTES', 1000)
+    assert waiting(*[300] * 20) == (False, [300] * 3)
 
 
-def test_a_message_beyond_all_bounds_takes_no_room_of_others(dashboard):
-    from mecarover_dashboard.web_server import INBOX_BYTES
-    dashboard.stop()
-    dashboard.server.queue_message('/diagnostics', bytes(300))
-    dashboard.server.queue_message('/diagnostics', bytes(INBOX_BYTES + 1))
-    assert [len(message) for _, message, _ in dashboard.server._inbox] == [300, 0]
+def test_a_message_beyond_all_bounds_takes_no_room_of_others():
+    assert waiting(300, MOST_BYTES + 1) == (False, [300, 0])
+
+
+def test_a_restart_is_not_overtaken_by_what_comes_after_it():
+    assert waiting(*[1] * 3 * MOST_MESSAGES, restarted_at=MOST_MESSAGES) \
+        == (True, [1] * MOST_MESSAGES)
 
 
 def test_versions_that_clients_claim_do_not_pile_up(dashboard):
