@@ -43,7 +43,7 @@ from msg_defs.diagnostics import worst
 
 MOST_AT_ONCE = 4                # questions; a day of 253 devices takes seconds of a core
 _MOST_POINTS = 20_000           # all sources together: six values of each take 20 MB
-_POINTS, _POINTS_MAX = 600, 10_000     # of each source
+_POINTS, _POINTS_MAX = 600, 10_000      # each source
 _MOST_EVENTS = 1000             # on the page; a CSV has them all
 _ALL_EVENTS = 10_000_000
 _ROWS = 2000                    # rows of a CSV written at a time

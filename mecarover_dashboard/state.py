@@ -60,8 +60,8 @@ class _Row:
     whole: AnyStatus | None = None
     whole_arrived: float = 0.0
     values: rows.Values = rows.NOTHING
-    points: list[tuple[int, Point]] = field(default_factory=list)   # of a metric, with versions
-    latencies: list[Point] = field(default_factory=list)            # of a device
+    points: list[tuple[int, Point]] = field(default_factory=list)   # a metric's, with versions
+    latencies: list[Point] = field(default_factory=list)            # a device's
     table: tuple[AnyStatus | None, RegisterTable | None] = None, None   # what it was made of
 
 

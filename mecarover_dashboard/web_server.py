@@ -3,20 +3,14 @@
 """
 The web server: the files of static/ and one stream of changes (server-sent events).
 
-It only answers GET and HEAD, and only to the names of this machine: a page elsewhere that points
-a name of its own at us (DNS rebinding) learns nothing. What is served is read at the start, so
-that no path leads outside. Runs with aiohttp 3.9 and newer; all state belongs to its one thread.
+Runs with aiohttp 3.9 and newer; all state belongs to its one thread.
 """
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable
-from collections.abc import Callable
 from contextlib import suppress
 import hashlib
-from importlib import resources
 import ipaddress
-import json
 import logging
 import secrets
 import socket
@@ -24,6 +18,7 @@ import threading
 import time
 from typing import Any
 from typing import Protocol
+from typing import TYPE_CHECKING
 
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
@@ -36,46 +31,25 @@ from mecarover_dashboard.connection_limit import HEAD_S
 from mecarover_dashboard.history_recorder import History
 from mecarover_dashboard.history_requests import HistoryRequests
 from mecarover_dashboard.inbox import Inbox
+from mecarover_dashboard.page_files import page_files
+from mecarover_dashboard.page_files import serve_file
+from mecarover_dashboard.request_guard import add_headers
+from mecarover_dashboard.request_guard import guard
 from mecarover_dashboard.rows import finite
 from mecarover_dashboard.signal_requests import ReportedSignals
 from mecarover_dashboard.signal_requests import SignalRequests
 from mecarover_dashboard.signal_requests import SignalSource
 from mecarover_dashboard.state import OVERVIEW
 from mecarover_dashboard.state import State
-from msg_defs.status_keys import FIGURES
-from servobus.doctor import RULES
+
+if TYPE_CHECKING:
+    from aiohttp.typedefs import Handler
 
 PUSH_S = 0.2                    # changes are collected for so long
 HASTE_S = 0.05                  # ... once a change of level may be among them
 BEAT_S = 1.0                    # at least one event in this time: the page can tell that we live
 SEND_S = 15.0                   # a client that takes nothing for so long is given up
 MOST_CLIENTS = 50
-_OF_A_PAGE = ('/events', '/signals')    # not for pages elsewhere: each costs work as it goes on
-
-_TYPES = {'html': 'text/html', 'css': 'text/css', 'js': 'text/javascript',
-          'svg': 'image/svg+xml'}
-_HEADERS = {
-    'Content-Security-Policy':
-        "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; "
-        "object-src 'none'; require-trusted-types-for 'script'",
-    'X-Content-Type-Options': 'nosniff',
-    'X-Frame-Options': 'DENY',
-    'Referrer-Policy': 'no-referrer',
-    'Cross-Origin-Resource-Policy': 'same-origin',
-    'Cross-Origin-Opener-Policy': 'same-origin',
-    'Server': 'dxl_dashboard',
-}
-Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
-
-
-def is_ours(host: str, names: frozenset[str], any_address: bool) -> bool:
-    """Tell whether a Host header names this machine; an address cannot be a borrowed name."""
-    name = host.rpartition(':')[0] if not host.endswith(']') and ':' in host else host
-    name = name.strip('[]').lower().rstrip('.')
-    try:
-        return ipaddress.ip_address(name).is_loopback or any_address
-    except ValueError:
-        return name in names
 
 
 class _ClientErrors(logging.Filter):
@@ -114,12 +88,7 @@ class Server:
                  player: RecordingPlayer | None = None,
                  signals: SignalSource | None = None) -> None:
         self._listener = listener
-        self._is_open = is_open
-        names = {'localhost', name.lower().rstrip('.')} - {''}
-        if is_open:
-            own = socket.gethostname().lower()
-            names |= {own, own.partition('.')[0], f'{own.partition(".")[0]}.local'}
-        self._names = frozenset(names)
+        self._guard = guard(facts['address'], name, is_open)
         self._boot = secrets.token_hex(4)       # versions count from the start of this process
         self._facts = facts | {'boot': self._boot, 'open': is_open}
         self._inbox = Inbox()
@@ -214,37 +183,20 @@ class Server:
         self._haste.set()
 
     def _app(self) -> web.Application:
-        files = _files()
+        files = page_files()
         page = hashlib.sha256(b''.join(files.values())).hexdigest()[:12]
         self._facts['page'] = page              # a kiosk reloads itself after an update
         app = web.Application(middlewares=[self._guard])
-        app.on_response_prepare.append(_add_headers)
-        app.router.add_get('/events', self._events)
+        app.on_response_prepare.append(add_headers)
         history = HistoryRequests(None if self._recording is None else self._recording.path)
-        app.router.add_get('/metrics', self._metrics)
-        app.router.add_get('/player', self._play)
-        app.router.add_get('/signals', self._signals.answer)
-        app.router.add_get('/history/values', history.values)
-        app.router.add_get('/history/events', history.events)
-        for name, data in files.items():
-            app.router.add_get(f'/{name}', _serve_file(name, data))
-            if name == 'index.html':
-                app.router.add_get('/', _serve_file(name, data))
+        handlers: dict[str, Handler] = {
+            '/events': self._events, '/metrics': self._metrics, '/player': self._play,
+            '/signals': self._signals.answer, '/history/values': history.values,
+            '/history/events': history.events,
+            **{f'/{name}': serve_file(name, data) for name, data in files.items()}}
+        for path, handler in (('/', handlers['/index.html']), *handlers.items()):
+            app.router.add_get(path, handler)
         return app
-
-    @web.middleware
-    async def _guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        if request.method not in ('GET', 'HEAD'):
-            raise web.HTTPMethodNotAllowed(request.method, ['GET', 'HEAD'])
-        if not is_ours(request.headers.get('Host', ''), self._names, self._is_open):
-            return web.Response(status=421, text=(
-                'The dashboard does not know this name of its machine. Use '
-                f"http://{self._facts.get('address', 'localhost')}/, or start the dashboard with "
-                '--name and the name that you use.\n'))
-        if request.path in _OF_A_PAGE and request.headers.get('Sec-Fetch-Site', 'none') not in (
-                'same-origin', 'none'):
-            return web.Response(status=403, text='Only a page of this dashboard may do that.\n')
-        return await handler(request)
 
     def _push(self) -> None:
         """Take in what has come, and let the clients' tasks send what changed."""
@@ -351,29 +303,3 @@ class Server:
 async def _wait(event: asyncio.Event, timeout_s: float) -> None:
     with suppress(asyncio.TimeoutError):
         await asyncio.wait_for(event.wait(), timeout_s)
-
-
-async def _add_headers(request: web.Request, response: web.StreamResponse) -> None:
-    response.headers.update(_HEADERS)
-
-
-def _files() -> dict[str, bytes]:
-    folder = resources.files('mecarover_dashboard') / 'static'
-    figures = json.dumps([one._asdict() for one in FIGURES])
-    rules = json.dumps({rule.name: rule.advice for rule in RULES})
-    return {'figures.js': f'export const FIGURES = {figures};\n'.encode(),
-            'rules.js': f'export const RULES = {rules};\n'.encode(),
-            **{file.name: file.read_bytes()
-               for file in sorted(folder.iterdir(), key=lambda file: file.name)
-               if file.name.rpartition('.')[2] in _TYPES}}
-
-
-def _serve_file(name: str, data: bytes) -> Handler:
-    content_type = _TYPES[name.rpartition('.')[2]]
-
-    async def serve(request: web.Request) -> web.StreamResponse:
-        response = web.Response(body=data, content_type=content_type, charset='utf-8')
-        response.headers['Cache-Control'] = 'no-cache'
-        response.enable_compression()
-        return response
-    return serve

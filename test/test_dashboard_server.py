@@ -25,8 +25,8 @@ from mecarover_dashboard.cdr import HandedStatus
 from mecarover_dashboard.inbox import Inbox
 from mecarover_dashboard.inbox import MOST_BYTES
 from mecarover_dashboard.inbox import MOST_MESSAGES
+from mecarover_dashboard.request_guard import is_ours
 from mecarover_dashboard.signal_requests import ReportedSignals
-from mecarover_dashboard.web_server import is_ours
 from rigs.tables import rows_of
 
 pytestmark = pytest.mark.skipif(util.find_spec('aiohttp') is None, reason='skipped: no aiohttp')

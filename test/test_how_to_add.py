@@ -224,7 +224,7 @@ from servobus.bus.expected import Expected
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 from servobus.status import device_status
-from mecarover_dashboard.web_server import _files
+from mecarover_dashboard.page_files import page_files
 from mecarover_dashboard.state import State, TABLES
 import sys
 sys.path.insert(0, 'test')
@@ -234,7 +234,7 @@ state = State()
 status = device_status('dxl_monitor', '', report.devices[0], (), True)
 state.store_message(TABLES, serialise([status]), 1.0)
 [row] = state.changes(0)['devices'].values()
-print(row['errors'], b'"Kinds of errors"' in _files()['figures.js'])
+print(row['errors'], b'"Kinds of errors"' in page_files()['figures.js'])
 """) == '0 True'
 
 

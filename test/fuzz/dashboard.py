@@ -10,9 +10,9 @@ from fuzz.script import Script
 from mecarover_dashboard import rows
 from mecarover_dashboard.cdr import CdrError
 from mecarover_dashboard.cdr import statuses
+from mecarover_dashboard.request_guard import is_ours
 from mecarover_dashboard.state import State
 from mecarover_dashboard.state import TOPICS
-from mecarover_dashboard.web_server import is_ours
 from servobus.plain import printable
 
 TEXT_LIMIT = 500
