@@ -122,20 +122,19 @@ class Feed:
 
     def signal(self, name: str, key: str, after: int) -> Points | None:
         """Return the points of a register after so many, of the last minute; from any thread."""
-        if name not in self._places:
-            return None
-        label, number = self._places[name]
-        return next((one.read(number, key, after, self._now / 1e9 - SPAN_S)
-                     for one in self._signals_of(label)), None)
+        return next((signals.read(number, key, after, self._now / 1e9 - SPAN_S)
+                     for signals, number in self._signals_of(name)), None)
 
     def drop(self, name: str, key: str) -> None:
         """Keep the points of a register no more; from any thread."""
-        label, number = self._places.get(name, ('', -1))
-        for one in self._signals_of(label):
-            one.drop(number, key)
+        for signals, number in self._signals_of(name):
+            signals.drop(number, key)
 
-    def _signals_of(self, label: str) -> list[BusSignals]:
-        return [bus.monitor.signals for bus, _ in self._logs if bus.monitor.name == label]
+    def _signals_of(self, name: str) -> list[tuple[BusSignals, int]]:
+        """Return what records a device, and its ID; nothing for an unknown one."""
+        label, number = self._places.get(name, (None, -1))
+        return [(bus.monitor.signals, number) for bus, _ in self._logs
+                if bus.monitor.name == label]
 
     def _count_alarms(self) -> int:
         return sum(bus.monitor.alarms() for bus, _ in self._logs)

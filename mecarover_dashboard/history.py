@@ -107,11 +107,10 @@ class HistoryWriter:
         self._database = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
         try:
             self._prepare()
-        except sqlite3.OperationalError:
-            self._database.close()
-            raise
         except (sqlite3.DatabaseError, DamagedError) as error:
             self._database.close()
+            if isinstance(error, sqlite3.OperationalError):
+                raise
             raise DamagedError(str(error)) from error
         self._sources: dict[str, tuple[int, tuple[str, ...]]] = {}     # numbers and units
         self._written: dict[int, tuple[int, _Pairs]] = {}      # the last window of each source

@@ -229,8 +229,7 @@ def _list(names: list[str]) -> str:
 def _judged(of_all: Level, message: str, devices: list[Row],
             live: int) -> tuple[Level, list[_Problem]]:
     """Return the level of a bus that is heard, and what is wrong: with it as a whole first."""
-    worst_device = worst(map(level_of, devices))
-    level = worst((worst_device, of_all))
+    level = worst((of_all, *map(level_of, devices)))
     if level is Level.OK:
         return level, []
     lost = _without_cut_off([one for one in devices if is_lost(one)])
@@ -240,7 +239,7 @@ def _judged(of_all: Level, message: str, devices: list[Row],
         found, lost = [_Problem(SILENT, message)], []
     elif message and devices and not live and (lost or of_all is Level.ERROR):
         found, lost, level = [_Problem(NONE_ANSWERS, message)], [], Level.ERROR
-    elif message and (not live or SEVERITY.index(of_all) >= SEVERITY.index(worst_device)):
+    elif message and (not live or level is of_all):
         found = [_Problem(_LEVEL_WORDS[level], message)]
     if found:
         # What the bus has explains its devices, but for what was found of a device itself.

@@ -255,7 +255,7 @@ def table(status: AnyStatus, arrived_s: float,
           before: RegisterTable | None = None) -> RegisterTable:
     """Return facts and fields of a device status; `observed` decides which keys are fields."""
     pairs = status.pairs(limit=_OBSERVED_LIMIT)
-    seen = _seen(dict(pairs).get(keys.OBSERVED, ''))
+    seen = _seen(pairs)
     old = {field.key: field.seen for field in before.fields} if before else {}
     facts: Pairs = []
     fields: list[FieldRow] = []
@@ -280,7 +280,7 @@ def samples(status: AnyStatus, arrived_s: float) -> Iterator[tuple[str, str, flo
     What is no number comes twice, the second time as its raw number.
     """
     pairs = status.pairs(limit=_OBSERVED_LIMIT)
-    seen = _seen(next((value for key, value in pairs if key == keys.OBSERVED), ''))
+    seen = _seen(pairs)
     name = shown = ''
     for key, value in pairs[_NAMING:]:
         if key != keys.raw(name):
@@ -312,10 +312,10 @@ def _steady(when_s: float, before_s: float | None) -> float:
     return round(when_s, 2)
 
 
-def _seen(text: str) -> dict[str, tuple[float | None, str]]:
+def _seen(pairs: Pairs) -> dict[str, tuple[float | None, str]]:
     """Read the value of `observed`; what is not as it should be is left out."""
     try:
-        entries = json.loads(text)
+        entries = json.loads(dict(pairs).get(keys.OBSERVED, ''))
     except (ValueError, RecursionError):
         return {}
     result: dict[str, tuple[float | None, str]] = {}

@@ -89,8 +89,8 @@ class Server:
                  signals: SignalSource | None = None) -> None:
         self._listener = listener
         self._guard = guard(facts['address'], name, is_open)
-        self._boot = secrets.token_hex(4)       # versions count from the start of this process
-        self._facts = facts | {'boot': self._boot, 'open': is_open}
+        # boot: versions of the state count from then.
+        self._facts = facts | {'boot': secrets.token_hex(4), 'open': is_open}
         self._inbox = Inbox()
         self._state = State()
         self._recording = recording
@@ -205,8 +205,7 @@ class Server:
         is_restarted, messages = self._inbox.take()
         if is_restarted:
             before, state = -1, State(state.namespace)
-            self._state, self._boot = state, secrets.token_hex(4)
-            self._facts['boot'] = self._boot
+            self._state, self._facts['boot'] = state, secrets.token_hex(4)
         for message in messages:
             state.store_message(*message)
         state.expire(now_s)
@@ -268,14 +267,15 @@ class Server:
 
     async def _stream(self, client: Client) -> None:
         await client.begin()
-        boot, since = self._boot, client.since(self._boot)
+        boot, since = '', 0
         while not self._ended.is_set():
-            if boot != self._boot:
-                boot, since = self._boot, 0
+            if boot != self._facts['boot']:
+                boot = self._facts['boot']
+                since = client.since(boot)
             pushed = self._pushed
             text = self._text(since) + client.own_text(self._state)
             since = self._state.version
-            await asyncio.wait_for(client.send(f'{self._boot}.{since}', text), SEND_S)
+            await asyncio.wait_for(client.send(f'{boot}.{since}', text), SEND_S)
             await _wait(pushed, BEAT_S)
 
     def _text(self, since: int) -> str:
