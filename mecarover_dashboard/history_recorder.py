@@ -187,10 +187,6 @@ class HistorySampler:
             self._source(subject).judge_part(part, rows_of.get(part.row_name), unix_s)
         restarted = {place_of(report.row) for report in buses
                      if self._source(_subject(report, 'buses')).is_restarted(report)}
-        lost: dict[tuple[str, str | None], set[str]] = {}
-        for report in state.reports('devices'):
-            if is_lost(report.row):
-                lost.setdefault(place_of(report.row), set()).add(f'{report.row["id"]:03}')
         for kind in VALUES:
             for report in state.reports(kind):
                 row, place = report.row, place_of(report.row)
@@ -205,7 +201,9 @@ class HistorySampler:
                 source.arrived = report.arrived
                 source.add_values(row['level'], tuple(_values(kind, report, state)), unix_s)
                 if kind == 'buses':
-                    source.add_errors(row, unix_s - now_s, lost.get(place, set()))
+                    source.add_errors(row, unix_s - now_s, {
+                        f'{one.row["id"]:03}' for one in state.reports('devices')
+                        if is_lost(one.row) and place_of(one.row) == place})
 
     def _source(self, subject: Subject) -> _SourceLog:
         source = self._sources.get(subject.name)
