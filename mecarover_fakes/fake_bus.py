@@ -13,7 +13,6 @@ import argparse
 from contextlib import ExitStack
 import json
 import sys
-import time
 
 from mecarover_fakes.dxl1_servo import Servo1
 from mecarover_fakes.fake_options import add_options
@@ -46,7 +45,6 @@ from servobus.tools.command_line import baud_rate
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
 
-WAIT_S = 0.1
 DEFAULT_DEVICES = ('1-10:MX-106', '11-18:MX-64', '100:Rhoban DXL Board', '101:BitFoot',
                    '102:BitFoot', '103:Bit-Bots IMU')
 FAST_DEVICES = ('1-20:XL430-W250',)
@@ -107,27 +105,26 @@ def _run(arguments: list[str]) -> int:
     bus = FakeBus(master, link=options.link, tap=options.tap or False,
                   away=options.vanish, usb=usb)
     tapped = f', tap {options.tap}' if options.tap else ''
-    try:
-        with ExitStack() as stack:
-            if options.control:
-                stack.enter_context(commands_from(options.control, bus.command))
-            print(f'fake_bus: {options.link or bus.path}, {options.baud} baud, {len(devices)} '
-                  f'devices, pattern {pattern}{tapped}', flush=True)
-            bus.start(options.seconds)
-            stack.enter_context(one_signal())
-            while bus.is_running:
-                time.sleep(WAIT_S)  # not join: interrupted, it takes the thread for ended
-    except KeyboardInterrupt:
-        if options.outlive:
-            outlive(bus.path)
-        raise
-    finally:
-        bus.stop()
-        _write_totals(bus, options.truth)
+    with ExitStack() as stack:
+        stack.callback(bus.stop)
+        if options.control:
+            stack.enter_context(commands_from(options.control, bus.command))
+        stack.callback(_finish, bus, options.truth)
+        print(f'fake_bus: {options.link or bus.path}, {options.baud} baud, {len(devices)} '
+              f'devices, pattern {pattern}{tapped}', flush=True)
+        bus.start(options.seconds)
+        try:
+            with one_signal():
+                bus.wait()
+        except KeyboardInterrupt:
+            if options.outlive:
+                outlive(bus.path)
+            raise
     return 0
 
 
 def _write_totals(bus: FakeBus, truth_file: str | None) -> None:
+    bus.stop()
     totals = bus.totals()
     print('totals: ' + ', '.join(f'{name} {count}' for name, count in totals['bus'].items()))
     if truth_file is not None:

@@ -11,7 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from collections.abc import Iterator
-import threading
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from contextlib import ExitStack
 import time
 from typing import Any
 
@@ -39,15 +41,22 @@ class FakeBus:
     """
     The bus of `master` on a pty, and a copy of it on a second one if `tap` is given.
 
-    usb: what shows it as the events of a USB adapter, too.
+    usb: what shows it as the events of a USB adapter, too; it is closed with the bus.
     """
 
     def __init__(self, master: Master, *, link: str | None = None, tap: str | bool = False,
                  away: Away | None = None, usb: VirtualUsb | None = None,
                  clock: Callable[[], int] = time.monotonic_ns) -> None:
         self.master = master
-        self.outlet = VirtualUart(link)
-        self.tap = VirtualUart(tap if isinstance(tap, str) else None) if tap else None
+        self.tap: VirtualUart | None = None
+        with ExitStack() as made:
+            if usb is not None:
+                made.callback(usb.close)
+            self.outlet = made.enter_context(closing(VirtualUart(link)))
+            if tap:
+                place = tap if isinstance(tap, str) else None
+                self.tap = made.enter_context(closing(VirtualUart(place)))
+            self._made = made.pop_all()
         self.stood_still_ns = 0
         # The tap first: who drives us may ask its listener as soon as it has an answer.
         self._ends = ({'tap': self.tap} if self.tap else {}) | {'bus': self.outlet}
@@ -57,7 +66,7 @@ class FakeBus:
         self._clock = clock
         self._origin = 0
         self._is_stopping = False
-        self._thread: threading.Thread | None = None
+        self._thread = ThreadPoolExecutor(1, 'fake_bus')
 
     @property
     def path(self) -> str:
@@ -67,24 +76,18 @@ class FakeBus:
     def start(self, seconds: float | None = None) -> None:
         """Run in a thread until stop(), or for some seconds."""
         until = None if seconds is None else round(seconds * S)
-        self._thread = threading.Thread(target=self._run, args=(until,), name='fake_bus')
-        self._thread.start()
+        self._playing = self._thread.submit(self._run, until)
 
-    @property
-    def is_running(self) -> bool:
-        """Whether start() is not over yet."""
-        return self._thread is not None and self._thread.is_alive()
+    def wait(self) -> None:
+        """Wait until what start() began is over; raise what ended it before its time."""
+        self._playing.result()
 
     def stop(self) -> None:
         """End after the exchange in progress and hang up."""
         self._is_stopping = True
         self.master.stop()
-        if self._thread is not None:
-            self._thread.join()
-        for end in self._ends.values():
-            end.close()
-        if self._usb is not None:
-            self._usb.close()
+        self._thread.shutdown()
+        self._made.close()
 
     def command(self, text: str) -> None:
         """Begin a fault ('silent:3') or end faults ('back'); ParameterError for something else."""

@@ -15,12 +15,11 @@ from contextlib import contextmanager
 from contextlib import suppress
 import os
 import socketserver
-import stat
 import sys
 import threading
 
+from mecarover_fakes.new_socket import new_socket
 from servobus.errors import ParameterError
-from servobus.errors import UsageError
 from servobus.plain import printable
 
 STANDARD_INPUT = '-'
@@ -39,8 +38,6 @@ def commands_from(place: str, command: Command) -> Iterator[None]:
         threading.Thread(target=_read_standard_input, args=(command,), daemon=True).start()
         yield
         return
-    if os.path.exists(place) and stat.S_ISSOCK(os.stat(place).st_mode):
-        os.unlink(place)               # a bus that was killed left it
 
     class CommandLines(socketserver.StreamRequestHandler):
         def handle(self) -> None:
@@ -48,11 +45,8 @@ def commands_from(place: str, command: Command) -> Iterator[None]:
                 while line := self.rfile.readline(_LINE_MAX_BYTES):
                     self.wfile.write(f'{_answer(line, command)}\n'.encode())
 
-    try:
+    with new_socket(place, '--control'):
         server = socketserver.ThreadingUnixStreamServer(place, CommandLines)
-    except OSError as error:
-        raise UsageError(f'--control {place}: {error.strerror or error}; '
-                         'give the path of a new file') from None
     with server:
         server.daemon_threads = True
         threading.Thread(target=server.serve_forever, daemon=True).start()

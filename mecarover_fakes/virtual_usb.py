@@ -14,6 +14,7 @@ import os
 import socket
 import time
 
+from mecarover_fakes.new_socket import new_socket
 from mecarover_fakes.usb_adapter import FakeAdapter
 
 PENDING_LIMIT = 1 << 22            # bytes that wait for a reader
@@ -27,11 +28,9 @@ class VirtualUsb:
         self._adapter = FakeAdapter(family)
         self._baud = baud
         self._readers: dict[socket.socket, bytearray] = {}
-        with suppress(FileNotFoundError):
-            if os.path.islink(path) or not os.path.isfile(path):
-                os.unlink(path)
         self._listener = socket.socket(socket.AF_UNIX)
-        self._listener.bind(path)
+        with new_socket(path, '--usbmon'):
+            self._listener.bind(path)
         self._listener.listen()
         self._listener.setblocking(False)
 

@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 
+import forked
 from harness import later
 from harness import Program
 from harness import wait
@@ -42,6 +43,7 @@ from servobus.errors import ParameterError
 from servobus.model.control_table import STRUCTS
 from servobus.model.models import Models
 from servobus.monitor import Monitor
+from servobus.port.pty import Pty
 
 MODELS = Models()
 BAUD = 2_000_000
@@ -276,7 +278,7 @@ def test_bus_paces_its_bytes():
     reader = Reader(bus.path)
     begin = time.monotonic_ns()
     bus.start(seconds)
-    while bus.is_running:
+    while not bus._playing.done():
         if reader.take():
             elapsed = time.monotonic_ns() - begin
             assert wire_ns(len(reader.data), 57_600) <= elapsed
@@ -403,14 +405,97 @@ def test_commands_come_through_a_socket(tmp_path):
     assert not os.path.exists(place)
 
 
+def fake(tool, *arguments):
+    """Run a fake for no time; return its exit code and what it says."""
+    done = forked.run(f'mecarover_fakes.{tool}', '--seconds', '0', *map(str, arguments))
+    return done.returncode, done.stdout.decode(), done.stderr.decode()
+
+
+@pytest.mark.parametrize('option', ['--control', '--usbmon'])
 @pytest.mark.parametrize(('place', 'words'), [
-    ('file', 'in use'), ('none/control', 'No such file')])
-def test_a_socket_that_cannot_be_made_is_named(tmp_path, place, words):
+    ('file', 'Address already in use; give the path of a new file'),
+    ('device', 'Address already in use; give the path of a new file'),
+    ('none/socket', 'No such file'), ('other', 'Protocol wrong type')])
+def test_a_socket_that_cannot_be_made_is_named(tmp_path, place, words, option):
     (tmp_path / 'file').write_text('mine')
-    done = run_tool('--control', str(tmp_path / place), '--seconds', '0')
-    assert (done.returncode, 'Traceback' in done.stderr) == (2, False)
-    assert words in done.stderr and str(tmp_path / place) in done.stderr
+    os.mkfifo(tmp_path / 'device')
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
+        other.bind(str(tmp_path / 'other'))
+        code, out, err = fake('fake_bus', '--link', tmp_path / 'bus', option, tmp_path / place)
+    assert (code, out, err.count('\n')) == (2, '', 1)
+    assert err.startswith(f'fake_bus: {option} {tmp_path / place}: {words}')
+    assert sorted(os.listdir(tmp_path)) == ['device', 'file', 'other']
     assert (tmp_path / 'file').read_text() == 'mine'
+
+
+def name_of(pid):
+    return Path(f'/proc/{pid}/comm').read_text().strip()
+
+
+@pytest.mark.parametrize('tool', ['fake_bus', 'fake_mcu'])
+def test_the_link_of_a_living_fake_stays_and_that_of_a_killed_one_goes(tmp_path, tool):
+    link = tmp_path / 'link'
+    with Program(f'mecarover_fakes.{tool}', '--link', str(link)) as first:
+        first.wait_for(str(link))
+        pty = link.readlink()
+        assert fake(tool, '--link', link) == (
+            1, '', f'{tool}: {link}: in use by {name_of(first.pid)} (pid {first.pid}); '
+                   'stop that program, or give another path\n')
+        assert link.readlink() == pty
+        first.signal(signal.SIGKILL)
+        first.exit_code()
+    assert link.is_symlink()
+    code, out, err = fake(tool, '--link', link)
+    assert (code, f'{tool}: {link}, ' in out, err) == (0, True, '')
+
+
+def test_a_link_to_a_pty_whose_number_another_one_has_got_since_is_replaced(tmp_path):
+    link = tmp_path / 'link'
+    with Pty(str(link)) as pty:
+        assert f'{link}: in use by ' in fake('fake_mcu', '--link', link)[2]
+        assert link.readlink() == Path(pty.path)
+        os.utime(link, (0, 0), follow_symlinks=False)
+        assert fake('fake_mcu', '--link', link)[0] == 0
+
+
+@pytest.mark.parametrize('option', ['--control', '--usbmon'])
+def test_the_socket_of_a_living_fake_stays_and_that_of_a_killed_one_goes(tmp_path, option):
+    place = tmp_path / 'socket'
+    with Program('mecarover_fakes.fake_bus', option, str(place)) as first:
+        first.wait_for('fake_bus: ')
+        wait(place.is_socket)
+        node = place.stat().st_ino
+        assert fake('fake_bus', option, place) == (
+            2, '', f'fake_bus: {option} {place}: in use by {name_of(first.pid)} '
+                   f'(pid {first.pid}); stop that program, or give another path\n')
+        assert place.stat().st_ino == node
+        first.signal(signal.SIGKILL)
+        first.exit_code()
+    assert place.is_socket()
+    assert fake('fake_bus', option, place)[::2] == (0, '')
+    assert not place.exists()
+
+
+def test_what_was_made_before_a_mistake_goes_again(tmp_path):
+    (tmp_path / 'file').touch()
+    for option in '--link', '--tap':
+        code, out, err = fake('fake_bus', '--link', tmp_path / 'bus', '--usbmon',
+                              tmp_path / 'usb', '--truth', tmp_path / 'truth', option,
+                              tmp_path / 'file')
+        assert (code, out) == (1, '')
+        assert f'{tmp_path / "file"}: cannot be made a symlink to the pty' in err
+        assert os.listdir(tmp_path) == ['file']
+
+
+def test_a_fake_that_cannot_come_back_says_so(tmp_path):
+    link = tmp_path / 'link'
+    with Program('mecarover_fakes.fake_bus', '--link', str(link), '--vanish', '0.5:0.5') as bus:
+        bus.wait_for(str(link))
+        wait(lambda: not link.is_symlink())
+        link.touch()
+        assert bus.exit_code() == 1
+    assert bus.said('Traceback') == []
+    bus.wait_for('cannot be made a symlink to the pty (File exists)')
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])

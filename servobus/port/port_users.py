@@ -42,20 +42,28 @@ def _holders(path: str, root: Path) -> Iterator[PortUser]:
         status = os.stat(path)
     name = tty_of(path)
     for process in (root / 'proc').glob('[0-9]*'):
-        program = file_text(process / 'comm').strip()
         user = process
-        if program == _READER:          # its parent is the command that a person started
+        if _program(user) == _READER:   # its parent is the command that a person started
             user = root / 'proc' / str(_stat_field(process, _PPID))
-            program = file_text(user / 'comm').strip()
+        program = _program(user)
         if int(user.name) == os.getpid():
             continue
         is_login = any(part in program for part in _LOGINS)
         if (is_login and _serves(process, name)) or (status and (
                 is_controlled_by(process, path, status) or _has_open(process, status))):
-            yield PortUser(f'{program or "a process"} (pid {user.name})', is_login,
+            yield PortUser(process_name(user), is_login,
                            status is not None and (_has_made(process, status.st_rdev)
                                                    or _has_made(user, status.st_rdev)),
                            int(user.name))
+
+
+def process_name(process: Path) -> str:
+    """Return 'name (pid N)' for a folder of /proc."""
+    return f'{_program(process) or "a process"} (pid {process.name})'
+
+
+def _program(process: Path) -> str:
+    return file_text(process / 'comm').strip()
 
 
 def _serves(process: Path, tty: str) -> bool:

@@ -17,6 +17,8 @@ import signal
 import time
 import tty
 
+from servobus.port.port_error import PortError
+from servobus.port.port_error import Reason
 from servobus.port.port_users import holders
 
 _OUTLIVE_MAX_S = 4.0            # launch kills what has not ended after 5 s
@@ -37,11 +39,25 @@ def outlive(path: str, work: Callable[[float], object] = time.sleep) -> None:
         work(_CHECK_EVERY_S)
 
 
+def _refuse_used_link(link: Path) -> None:
+    """Raise PortError when a living process has made the pty to which a link points."""
+    with suppress(OSError):
+        # What a killed process left is older than the pty that has got the same number since.
+        if link.lstat().st_mtime_ns < link.stat().st_ctime_ns:
+            return
+        for user in holders(str(link)):
+            if user.is_maker:
+                raise PortError(str(link), Reason('busy', f'in use by {user.name}',
+                                                  'stop that program, or give another path'))
+
+
 class Pty:
     """A pty pair; `master` is a non-blocking descriptor, `path` the name of the other end."""
 
     def __init__(self, link: str | None = None) -> None:
         self.link = link
+        if link is not None:
+            _refuse_used_link(Path(link))
         self.master, self._slave = os.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self.master, False)
@@ -59,7 +75,7 @@ class Pty:
             self.link = None
             self.close()
             raise OSError(error.errno, f'{link}: cannot be made a symlink to the pty '
-                          f'({error.strerror}); give another --link') from error
+                          f'({error.strerror}); give another path') from error
 
     def let_go(self) -> None:
         """Hold the other end open no longer, so that is_open says whether somebody else does."""
