@@ -9,6 +9,7 @@ from argparse import Namespace
 from collections.abc import Iterator
 from collections.abc import Sequence
 from contextlib import contextmanager
+from contextlib import suppress
 import signal
 from types import FrameType
 from typing import NamedTuple
@@ -78,8 +79,8 @@ class Away(NamedTuple):
 
 def _away(text: str) -> Away:
     """Return what `--vanish AFTER:FOR` means."""
-    try:
+    with suppress(ValueError):
         after, duration = map(float, text.split(':'))
-    except ValueError:
-        raise ArgumentTypeError(f'{text}: not AFTER:FOR; give seconds, as in 3:1.5') from None
-    return Away(after, duration)
+        if after >= 0 and duration >= 0:
+            return Away(after, duration)
+    raise ArgumentTypeError(f'{text}: not AFTER:FOR; give seconds, as in 3:1.5')

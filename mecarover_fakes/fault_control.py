@@ -59,10 +59,12 @@ def commands_from(place: str, command: Command) -> Iterator[None]:
 
 
 def _read_standard_input(command: Command) -> None:
-    while line := sys.stdin.buffer.readline(_LINE_MAX_BYTES):
-        answer = _answer(line, command)
-        if answer != 'ok':
-            print(f'fake_bus: {answer}', file=sys.stderr, flush=True)
+    # Not sys.stdin: the interpreter needs its lock to end, and who waits for a line has it.
+    with open(0, 'rb', buffering=0, closefd=False) as lines:
+        while line := lines.readline(_LINE_MAX_BYTES):
+            answer = _answer(line, command)
+            if answer != 'ok':
+                print(f'fake_bus: {answer}', file=sys.stderr, flush=True)
 
 
 def _answer(line: bytes, command: Command) -> str:

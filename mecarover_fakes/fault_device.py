@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import math
-
 from mecarover_fakes.fake_servo import FakeDevice
 from mecarover_fakes.fault import Effect
 from mecarover_fakes.fault import MS
@@ -83,17 +81,22 @@ class Brownout(Effect):
     """The supply sags, then the device starts again."""
 
     def play(self) -> Play:
-        self._low_until: float = self.now + DIP_NS
-        for device in self.devices:
+        self._low_until = self.now + DIP_NS
+        self._low = self.devices
+        for device in self._low:
             device.voltage = VOLTAGE * 0.7
         yield
+        self._rise()
 
     def step(self) -> None:
         if self.now >= self._low_until:
-            self._low_until = math.inf
-            for device in self.devices:
-                device.restart(self.now, BOOT_NS)
-                device.voltage = VOLTAGE
+            self._rise()
+
+    def _rise(self) -> None:
+        low, self._low = self._low, []
+        for device in low:
+            device.restart(self.now, BOOT_NS)
+            device.voltage = VOLTAGE
 
 
 class Latched(Effect):

@@ -133,10 +133,11 @@ class Offset(Effect):
     every = 0
 
     def ask(self) -> Asks:
-        offset = self.device.model.by_name['Homing Offset']
-        yield write(self.device.id, offset.at, offset.bytes_of(120))
-        yield from read_register(self.device, 'Present Position')
-        yield write(self.device.id, offset.at, offset.bytes_of(95))
+        offset = self.device.field('Homing Offset')
+        if offset is not None:
+            yield write(self.device.id, offset.at, offset.bytes_of(120))
+            yield from read_register(self.device, 'Present Position')
+            yield write(self.device.id, offset.at, offset.bytes_of(95))
 
 
 class Layout(Effect):

@@ -23,6 +23,7 @@ from whole_truth import WholeTruth
 
 from mecarover_fakes.fake_bus import DEFAULT_DEVICES
 from mecarover_fakes.fake_bus import make_devices
+from mecarover_fakes.fake_bus import make_line
 from mecarover_fakes.fake_options import Away
 from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.fault import Fault
@@ -33,6 +34,7 @@ from mecarover_fakes.line import wire_ns
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import Ask
 from mecarover_fakes.traffic import PATTERNS
+from mecarover_fakes.values import VOLTAGE
 from mecarover_fakes.virtual_uart import CAPACITY
 from mecarover_fakes.virtual_uart import VirtualUart
 from msg_defs.dxl_instruction import Instruction
@@ -175,6 +177,22 @@ def test_fault_begins_and_ends(name):
     late = [burst for burst in bursts if burst.start > 3.8 * S]
     assert all(burst.intact for burst in late)
     assert (3 in {burst.sender for burst in late}) == (name != 'baud')      # that one is gone
+
+
+def test_a_supply_rises_again_where_its_fault_ends_in_the_sag():
+    master = make_master(faults=('brownout:1:0.1:0.2',), devices=['1:MX-106'])
+    play(master, 0.2)
+    assert master.line.at(1).voltage < VOLTAGE
+    play(master, 1.0)
+    assert master.line.at(1).voltage == VOLTAGE
+
+
+def test_a_fault_of_a_register_leaves_a_servo_without_it():
+    for name, kind in KINDS.items():
+        if 'feetech' in kind.protocols:
+            line = make_line(make_devices(['1-2:SCS15'], MODELS, 10**6, dialect='feetech'), 10**6,
+                             'feetech')
+            assert play(Master(line, PATTERNS['moving'], faults=[parse_fault(name)]), 0.1)
 
 
 @pytest.mark.parametrize(('text', 'fault'), [
@@ -403,6 +421,19 @@ def test_commands_come_through_a_socket(tmp_path):
         child.communicate()
     assert child.returncode == 0
     assert not os.path.exists(place)
+
+
+def test_commands_come_from_standard_input_which_may_stay_open():
+    with subprocess.Popen(
+            [sys.executable, '-m', 'mecarover_fakes.fake_bus', '--control', '-', '--devices',
+             '1:MX-106'], text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE) as child:
+        child.stdout.readline()
+        child.stdin.write('silent:1\nsilent:2\n')
+        child.stdin.flush()
+        assert child.stderr.readline().startswith('fake_bus: fault: silent:2: no device')
+        child.terminate()
+        assert (child.wait(), child.stderr.read()) == (0, '')
 
 
 def fake(tool, *arguments):
