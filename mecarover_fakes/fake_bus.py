@@ -109,7 +109,7 @@ def _run(arguments: list[str]) -> int:
         stack.callback(bus.stop)
         if options.control:
             stack.enter_context(commands_from(options.control, bus.command))
-        stack.callback(_finish, bus, options.truth)
+        stack.callback(_write_totals, bus, options.truth)
         print(f'fake_bus: {options.link or bus.path}, {options.baud} baud, {len(devices)} '
               f'devices, pattern {pattern}{tapped}', flush=True)
         bus.start(options.seconds)
