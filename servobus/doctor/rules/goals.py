@@ -6,6 +6,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from itertools import pairwise
+from math import isclose
+from math import tau
 from operator import ne
 
 from msg_defs.diagnostics import Level
@@ -55,7 +57,8 @@ SIGN_AT = 15                       # the bit of a velocity of Feetech that is it
 NEGATIVE_MAX = 8192                # as two's complement; without it 24576: no servo is so fast
 ROUND_SPEED = 100
 BYTE = 256
-AX_STEPS = 1023                    # the highest position of AX, EX and RX
+AX_STEPS = 1023                    # the highest position of AX and RX (e-Manual)
+AX_RANGE = 300 * tau / 360         # rad that these steps are of
 GOAL_CHANGES_MIN = 3               # after so many a joint that rests at its stop has moved
 POSITION_CONTROL = 3               # a value of Operating Mode (e-Manual)
 GOALS_BEYOND_MIN = 2               # one may be a slip of a person
@@ -353,8 +356,7 @@ def operating_mode(case: Case, device: DeviceReport) -> Found | None:
     remedy = 'write its angle limits: with 0 in both it is a wheel' \
         if device.model.protocol == '1' else 'write 0 (position) to Operating Mode, with Lock 0' \
         if is_feetech else 'switch its torque off, write 3 (position) to Operating Mode'
-    if device.id in case.turned and _turns_past_goals(case, device) \
-            and is_of_one_turn(goal.field):
+    if device.id in case.turned and _turns_past_goals(case, device, _turn_of(goal.field)):
         return Claim('its goals are within one turn, and it turns on and on past them, as in '
                      f'velocity or PWM mode: {remedy}', rests_on=_PLACE_AND_MODE)
     if is_feetech and device.id in case.turned and _moves_by_its_goals(case.samples[device.id]):
@@ -390,21 +392,27 @@ def _force_at_zero(case: Case, device: DeviceReport) -> str:
     return next((name for name in _FORCES if raw_value(case, device, name) == 0), '')
 
 
-def _turns_past_goals(case: Case, device: DeviceReport) -> bool:
+def _turn_of(field: Field) -> int:
+    """Return after how many steps a position begins at 0 again, 0 where that is unknown."""
+    is_of_ax = isclose((AX_STEPS + 1) * (field.scale or 0.0), AX_RANGE, abs_tol=0.01)
+    return TURN_STEPS if is_of_one_turn(field) else AX_STEPS + 1 if is_of_ax else 0
+
+
+def _turns_past_goals(case: Case, device: DeviceReport, turn: int) -> bool:
     """Tell whether a joint goes half a turn and more in one way, away from goals in one turn."""
-    samples = case.samples[device.id]
+    samples, far = case.samples[device.id], GOAL_FAR_STEPS * turn // TURN_STEPS
     if len(samples) <= INCIDENTS_MIN or abs(
-            (samples[-1].position or 0) - (samples[-2].position or 0)) <= GOAL_FAR_STEPS:
+            (samples[-1].position or 0) - (samples[-2].position or 0)) <= far:
         return False                           # it does not turn now
     known = [(one.goal, one.position) for one in samples
              if one.goal is not None and one.position is not None]
-    if not all(0 <= goal < TURN_STEPS and 0 <= place < TURN_STEPS for goal, place in known):
+    if not all(0 <= goal < turn and 0 <= place < turn for goal, place in known):
         return False
-    half = TURN_STEPS // 2
-    steps = [(two - one + half) % TURN_STEPS - half for (_, one), (_, two) in pairwise(known)]
+    half = turn // 2
+    steps = [(two - one + half) % turn - half for (_, one), (_, two) in pairwise(known)]
     way = 1 if sum(steps) > 0 else -1
-    beyond = [way * (place - goal) > GOAL_FAR_STEPS for goal, place in known]
-    away = sum(before and after and way * step > GOAL_FAR_STEPS
+    beyond = [way * (place - goal) > far for goal, place in known]
+    away = sum(before and after and way * step > far
                for (before, after), step in zip(pairwise(beyond), steps, strict=True))
     return way * sum(steps) >= half and min(way * step for step in steps) >= -STILL_MAX_STEPS \
         and away >= INCIDENTS_MIN
