@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Text that shows bytes, as people paste it: what the tools read of it, and what they say."""
 import io
+from itertools import zip_longest
 import json
 import subprocess
 import sys
@@ -83,8 +84,31 @@ STRACE = (f'openat(AT_FDCWD, "/dev/ttyUSB0", O_RDWR|O_NOCTTY) = 5\n'
           f'read(3, "\\177ELF\\2\\1\\1", 832) = 7\n'
           f'[pid  812] 12:00:01.000100 write(5, "{octal(PING)}", 10) = 10\n'
           f'[pid  812] 12:00:01.000600 read(5, "{octal(PONG)}", 64) = {len(PONG)}\n')
+LIBRARY = (f'openat(AT_FDCWD, "/lib/libc.so.6", O_RDONLY) = 3\n'
+           f'read(3, "\\177ELF\\2\\1\\1"..., 832) = 832\nclose(3) = 0\n'
+           f'ioctl(1, TCGETS, 0x7ffed879bd30) = -1 ENOTTY (Inappropriate ioctl for device)\n'
+           f'openat(AT_FDCWD, "/dev/pts/4", O_RDWR) = 3\n'
+           f'ioctl(3, TCSETS, {{c_cflag=B1000000|CS8|CREAD, ...}}) = 0\n'
+           f'write(3, "{octal(PING)}", 10) = 10\nread(3, "{octal(PONG)}", 64) = 14\n')
 SHAPES = {
     'hex': hexed(BOTH),
+    'a question and its answer in a line': f'TX: {hexed(PING)}  RX: {hexed(PONG)}\n',
+    'two in a line of Python': f'sent {PING!r} got reply {PONG!r}\n',
+    'an arrow between the two': f'{hexed(PING)} -> {hexed(PONG)}\n',
+    'a column for each': f'Sent,Received\n{hexed(PING)},{hexed(PONG)}\n',
+    'answers alone have a mark': f'{hexed(PING)}\nRX: {hexed(PONG)}\n',
+    'names of variables': f'char ping[] = {{{hexed(PING, "0x", ",")}}};\n'
+                          f'char reply[] = {{{hexed(PONG, "0x", ",")}}};\n',
+    'as the servo sees it': f'RX: {hexed(PING)}\nTX: {hexed(PONG)}\n',
+    'a headline of both': f'Data sent on the bus:\n{hexed(PING)}\n{hexed(PONG)}\n',
+    'sent and received': f'// sent and received\n{hexed(PING)}\n{hexed(PONG)}\n',
+    'hex in quotes': f'TX {[hex(one) for one in PING]}\nRX {[hex(one) for one in PONG]}\n',
+    'an H behind each': f'{hexed(PING, between="H ")}H\n{hexed(PONG, between="H ")}H\n',
+    '0x without blanks': f'{hexed(PING, "0x", "")}\n{hexed(PONG, "0x", "")}\n',
+    'words of two bytes': f'TX: {PING.hex(" ", -2)}\nRX: {PONG.hex(" ", -2)}\n',
+    'an older encoding': f'TX {hexed(PING)} 25 \xb0C\nRX {hexed(PONG)}\n'.encode('latin-1'),
+    'colours': f'\x1b[32mTX {hexed(PING)}\x1b[0m\nRX {hexed(PONG)}\n',
+    'at a prompt': f'>>> ser.write({PING!r})\n10\n>>> ser.read(99)\n{PONG!r}\n',
     'a packet a line': f'{hexed(PING)}\n{hexed(PONG)}\n',
     '0x and commas': hexed(PING, '0x', ', ') + '\n' + hexed(PONG, '0x', ', '),
     '0x and bars': hexed(PING, '0x', ' | ') + '\n' + hexed(PONG, '0x', ' | '),
@@ -117,7 +141,14 @@ SHAPES = {
     'hexdump': words(BOTH),
     'socat': (f'> 2026/01/02 12:00:01.000100  length=10 from=0 to=9\n {PING.hex(" ")}\n--\n'
               f'< 2026/01/02 12:00:01.000600  length=14 from=0 to=13\n {PONG.hex(" ")}\n--\n'),
+    'socat at the device': (
+        f'< 2026/01/02 12:00:01.000000100  length=10 from=0 to=9\n {PING.hex(" ")}\n'
+        f'> 2026/01/02 12:00:01.000000600  length=14 from=0 to=13\n {PONG.hex(" ")}\n'),
     'strace': STRACE,
+    'strace of a library': LIBRARY,
+    'strace of threads': STRACE.replace(
+        f'read(5, "{octal(PONG)}", 64)', 'read(5,  <unfinished ...>\n[pid 813] close(3) = 0\n'
+        f'[pid  812] 12:00:01.000700 <... read resumed>"{octal(PONG)}", 64)'),
     'strace -e write=5 -e read=5': STRACE.replace(
         ' = 10\n', f' = 10\n | 00000  {PING.hex(" ")}  ......\n').replace(
         f' = {len(PONG)}\n', f' = {len(PONG)}\n | 00000  {PONG.hex(" ")}  ......\n'),
@@ -127,6 +158,8 @@ SHAPES = {
     'sigrok-cli': '\n'.join(f'uart-1: {byte:02X}' for byte in BOTH),
     'Logic 1': csv('Time [s],Value,Parity Error,Framing Error', '{s:.9f},0x{b:02X},,'),
     'Logic 1 decimal': csv('Time [s],Value,Parity Error,Framing Error', '{s:.9f},{b},,'),
+    'Logic 1 ASCII and hex': csv('Time [s],Value,Parity Error,Framing Error',
+                                 "{s:.9f},'{b}' (0x{b:02X}),,"),
     'Logic 1 analysers': csv('Time [s],Analyzer Name,Decoded Protocol Result',
                              '{s:.9f},Async Serial,0x{b:02X}'),
     'Logic 2': csv('name,type,start_time,duration,data,error',
@@ -140,11 +173,22 @@ SHAPES = {
 }
 DOUBLED = 'strace -e write=5 -e read=5'
 SHAPES['TX and RX of Logic 2'] = lines_of('MCU TX', 'rx')
-KNOWS_SIDES = ('TX and RX of Logic 2', 'colons', 'who to whom', 'a count behind',
+SHAPES['two of Logic 2 without a side'] = lines_of('A', 'B')
+SHAPES['DSView with two columns'] = '\n'.join(
+    ['Id,Time[ns],0:UART: RX/TX,0:UART: RX/TX',
+     *(f'{n},{n * 10_000}.0,{byte:02X},' for n, byte in enumerate(PING)),
+     *(f'{n},{n * 10_000}.0,,{byte:02X}' for n, byte in enumerate(PONG, len(PING)))])
+KNOWS_SIDES = ('two of Logic 2 without a side', 'DSView with two columns', 'at a prompt',
+               'a question and its answer in a line', 'two in a line of Python',
+               'answers alone have a mark', 'names of variables', 'as the servo sees it',
+               'hex in quotes', 'words of two bytes', 'an older encoding', 'colours',
+               'socat at the device', 'strace of a library', 'strace of threads',
+               'TX and RX of Logic 2', 'colons', 'who to whom', 'a count behind',
                'a count before', 'an ID before', DOUBLED, 'dates', 'milliseconds', 'TX and RX',
                'TxPacket', 'headlines', 'arrows', 'a fence', 'coarse times', 'socat', 'strace',
                'strace -y -xx')
-KNOWS_TIMES = {'socat', 'strace', 'times and colons', DOUBLED, 'TX and RX of Logic 2', 'dates',
+KNOWS_TIMES = {'two of Logic 2 without a side', 'socat at the device', 'strace of threads',
+               'socat', 'strace', 'times and colons', DOUBLED, 'TX and RX of Logic 2', 'dates',
                'milliseconds', "Arduino's monitor",
                *(one for one in SHAPES if one.startswith(('Logic', 'DSV')))}
 
@@ -181,6 +225,47 @@ def test_what_was_not_used_is_said(run):
     assert '2 lines not used, the first is line 1: I see this:' in err
 
 
+def test_a_byte_with_a_letter_in_it_is_named(run):
+    broken = hexed(PONG).replace('00', 'O0', 1)
+    _, out, err = run(dxl_dump, f'TX: {hexed(PING)}\nRX: {broken}\n')
+    assert f"'O0' is no byte, line 2: RX: {broken}" in err and 'noise' not in out
+
+
+def test_sides_that_were_changed_are_said(run):
+    assert 'TX and RX were swapped' in run(dxl_dump, SHAPES['as the servo sees it'])[2]
+    assert 'TX and RX were not used' in run(dxl_dump, SHAPES['a headline of both'])[2]
+    assert run(dxl_doctor, SHAPES['a headline of both'])[0] == 0
+
+
+@pytest.mark.parametrize(('front', 'back', 'packets'), [
+    ('{:08x}  {}  |{}|\n', '{:08x}\n', 100), ('{:07o} {}\n', '{:07o}\n', 100),
+    ('{:06x} {}\n', '{:06x}\n', 100)])
+def test_lines_that_a_star_stands_for_are_read(run, front, back, packets):
+    row = bytes.fromhex('FF FF 01 04 02 38 02 BE FF FF 01 04 00 00 08 F2')
+    text = front.format(0, row.hex(' '), '.' * 16) + '*\n' + back.format(packets * len(row))
+    _, out, err = run(dxl_dump, text)
+    assert len(out.splitlines()) == 2 * packets and 'not used' not in err
+
+
+def test_a_star_of_unknown_length_is_said(run):
+    row = bytes.fromhex('FF FF 01 04 02 38 02 BE FF FF 01 04 00 00 08 F2')
+    text = words(row * 3).splitlines()
+    assert 'print them with -v' in run(
+        dxl_dump, '\n'.join([text[0], '*', text[-1]]), '--protocol', 'feetech')[2]
+
+
+def test_errors_that_an_analyser_saw_are_counted(run):
+    content = csv('Time [s],Value,Parity Error,Framing Error', '{s:.9f},0x{b:02X},,')
+    assert '; 2 of them have errors' in run(
+        dxl_dump, content.replace('0x55,,', '0x55,,Error').replace('0x34,,', '0x34,Error,'))[2]
+
+
+def test_the_rate_that_strace_shows_is_taken(run):
+    _, out, _ = run(dxl_doctor, SHAPES['strace of a library'])
+    assert ' 1000000 baud' in out.splitlines()[0]
+    assert 'noise' not in run(dxl_dump, SHAPES['strace of a library'])[1]
+
+
 def test_times_of_milliseconds_are_times(run):
     _, out, _ = run(dxl_dump, SHAPES['dates'], '--json')
     first, second = (json.loads(line)['stamp'] for line in out.splitlines())
@@ -206,7 +291,9 @@ def test_a_packet_of_the_1_0_family_has_a_checksum(run):
 
 
 def test_which_of_two_analysers_is_asked(run):
-    code, out, err = run(dxl_dump, lines_of("Joe's", 'BUS'))
+    rows = [f'{at + n * 1e-5:.6f},{name},0x{byte:02X}' for at, name, data in (
+        (0, "Joe's", BOTH), (0.1, 'BUS', BOTH + BOTH)) for n, byte in enumerate(data)]
+    code, out, err = run(dxl_dump, '\n'.join(['Time [s],Analyzer Name,Value', *rows]))
     assert (code, out, err.count('\n')) == (2, '', 1)
     assert """(head -n 1 FILE; grep -F 'Joe'"'"'s' FILE) | dxl_dump -""" in err
     assert 'of 2 analysers, ' in err and ', BUS; name two TX and RX' in err
@@ -257,12 +344,15 @@ def test_a_text_from_a_pipe_is_read():
     assert (ran.returncode, len(ran.stdout.splitlines())) == (0, 2), ran.stderr
 
 
-def sigrok(data, rate='8 MHz', samples=8, metadata='probe2=bus\nunitsize=1'):
-    """Return a .sr file: the second of two lines, 1 MBd."""
-    levels = [1] * 50
-    for byte in data:
-        levels += [0, *(byte >> bit & 1 for bit in range(8)), 1]
-    wire = b''.join(bytes([2 * level + 1]) * samples for level in [*levels, *[1] * 50])
+def sigrok(data, rate='8 MHz', samples=8, metadata='probe2=bus\nunitsize=1', other=b'', stop=1):
+    """Return a .sr file: two lines at 1 MBd; what the first has comes before the second."""
+    first, second = ([level for byte in part for level in (
+        0, *(byte >> bit & 1 for bit in range(8)), *bits)] for part, bits in (
+            (other, (1,)), (data, (1,) if stop else (0, 1))))
+    idle = [1] * 50
+    first, second = [*idle, *first], [*idle, *[1] * len(first), *second, *idle]
+    wire = b''.join(bytes([2 * two + one]) * samples
+                    for one, two in zip_longest(first, second, fillvalue=1))
     file = io.BytesIO()
     with zipfile.ZipFile(file, 'w', zipfile.ZIP_DEFLATED) as zipped:
         zipped.writestr('version', '2')
@@ -281,7 +371,28 @@ def test_a_line_of_sigrok_is_decoded(run):
     assert 'read as line bus of sigrok at 1000000 baud: 24 bytes' in err and code == 0
 
 
+@pytest.mark.parametrize(('content', 'sides', 'said'), [
+    (sigrok(PONG, other=PING), ['out', 'in'], 'lines 0 and bus of sigrok'),
+    (sigrok(PONG, other=PING, metadata='probe1=RX\nprobe2=TX'), ['out', 'in'],
+     'TX and RX were swapped'),
+    (sigrok(BOTH, other=PING), [None, None], '24 bytes; not used: 0'),
+    (sigrok(BOTH, other=b'hello'), [None, None], '24 bytes; not used: 0')])
+def test_two_lines_of_sigrok_are_one_bus(run, content, sides, said):
+    _, out, err = run(dxl_dump, content, '--json', '-b', '1000000', name='bus.sr')
+    packets = [json.loads(line) for line in out.splitlines()]
+    assert [one['instruction'] for one in packets] == ['Ping', 'Status'], err
+    assert [one.get('side') or None for one in packets] == sides
+    assert said in err
+
+
+def test_bytes_without_a_stop_bit_are_read(run):
+    _, out, err = run(dxl_dump, sigrok(BOTH, stop=0), '-b', '1000000', name='bus.sr')
+    assert '; 24 of them have errors' in err and len(out.splitlines()) == 2
+
+
 @pytest.mark.parametrize(('content', 'options', 'said'), [
+    (sigrok(BOTH + PING, other=BOTH), ('-b', '1000000'),
+     'packets on 2 lines, 0, bus; give one: sigrok-cli -i FILE -C 0 -o one.sr'),
     (sigrok(BOTH), (), 'give the baud rate'),
     (sigrok(BOTH), ('-b', '57600'), 'no line holds a packet'),
     (sigrok(BOTH), ('-b', '4000000'), 'too few for 4000000 baud'),

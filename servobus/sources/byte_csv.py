@@ -3,38 +3,42 @@
 """
 Bytes that a logic analyser decoded, as CSV: Saleae Logic 1 and 2, DSView, sigrok.
 
-The first line names the columns; a time has its unit in its name, or is in seconds. Two
-analysers are two lines, by their names.
+The first line names the columns; a time has its unit in its name, or is in seconds. Several
+analysers are several lines, by their names or in columns of their own.
 """
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection
+from collections.abc import Sequence
 import csv
 import re
 import shlex
 
-from msg_defs.event import IN
-from msg_defs.event import OUT
-from msg_defs.event import UNKNOWN
+from msg_defs.event import Change
+from msg_defs.event import FRAMING
+from msg_defs.event import PARITY
 from msg_defs.units import NS_PER_MS
 from msg_defs.units import NS_PER_S
 from servobus.plain import printable
-from servobus.sources.byte_text import ByteText
-from servobus.sources.byte_text import TextBytes
-from servobus.sources.byte_text import unescaped
+from servobus.sources.strace_text import unescaped
+from servobus.sources.text_bytes import ByteText
+from servobus.sources.text_bytes import NAMED_MAX
+from servobus.sources.text_bytes import one_bus
+from servobus.sources.text_bytes import OneBus
+from servobus.sources.text_bytes import TextBytes
 
 _TIME = re.compile(r'(?:start[_ ]?)?time\b\s*(?:[\[(](\w+)[\])])?')
 _DATA = ('data', 'value', 'decoded protocol result', 'hex')
 _DECODER = re.compile(r'uart|serial|\b[rt]x\b')
 _UNITS = {'s': NS_PER_S, 'ms': NS_PER_MS, 'us': 1000, '\u00b5s': 1000, 'ns': 1}
 _ANALYSER = ('name', 'analyzer name')
-_SIDES = {OUT: re.compile(r'\btx\b', re.IGNORECASE), IN: re.compile(r'\brx\b', re.IGNORECASE)}
+_FLAW = re.compile(r'(?:(parity|framing) )?error')
+_FLAWS = {None: FRAMING, 'framing': FRAMING, 'parity': PARITY}
 _MARKED = re.compile(r'\[([0-9A-F]{2})\]|\\x([0-9A-F]{2})', re.IGNORECASE)
 _QUOTED = re.compile(r"'(.*)'")
+_SHOWN_TWICE = re.compile(r"'?.*'? \((0x[0-9a-f]{1,2})\)", re.IGNORECASE)
 _CLOCK = re.compile(r'.*T(\d+):(\d+):(\d+(?:\.\d+)?).*')
 NAME = 'CSV of a logic analyser'
-ANALYSERS_NAMED_MAX = 4
 
 
 def read_csv(text: str) -> ByteText | None:
@@ -48,38 +52,49 @@ def read_csv(text: str) -> ByteText | None:
         return None
     when, unit = times[0]
     cells = [_cells(row) + [''] * len(names) for row in rows]      # some may be cut
-    is_ascii = any(_MARKED.fullmatch(row[data[0]]) for row in cells)
-    values = [_value(*both, data[0], is_ascii) for both in zip(rows, cells, strict=True)]
+    named = [at for at, name in enumerate(names) if name in _ANALYSER][:1]
+    # Without a column of names DSView has a column for each analyser.
+    shown = data if names[data[0]] not in _DATA and not named else data[:1]
+    columns = {at: _column(rows, cells, at) for at in shown}
+    flaws = {at: _FLAWS[found[1]] for at, name in enumerate(names)
+             if (found := _FLAW.fullmatch(name))}
+    lines, unused = defaultdict[str, list[TextBytes]](list), {}
+    for number, row in enumerate(cells):
+        flaw = next((Change(what, 1) for at, what in flaws.items() if row[at].strip()), None)
+        time = _time(row[when], _UNITS.get(unit, NS_PER_S))
+        values = [(at, one) for at, column in columns.items() if (one := column[number])]
+        for at, one in values:
+            name = ''.join(row[at] for at in named) or (
+                f'{names[at]} {shown.index(at) + 1}' if len(shown) > 1 else '')
+            lines[name].append(TextBytes(one, time=time, change=flaw))
+        if not values:
+            unused[number + 2] = rows[number]
+    bus = one_bus(lines) if len(lines) > 1 else OneBus(lines.popitem()[1] if lines else ())
+    return ByteText(NAME, bus.parts, unused, _which(bus.rivals, bool(named)),
+                    [printable(bus.note)] * bool(bus.note))
+
+
+def _which(names: Sequence[str], is_named: bool) -> str:
+    """Ask which of several lines is the bus."""
+    if not names:
+        return ''
+    shown = [shlex.quote(printable(one)) for one in names][:NAMED_MAX]
+    return (f'packets of {len(names)} analysers, {", ".join(shown)}; ' + (
+        f'name two TX and RX, or give one: (head -n 1 FILE; grep -F {shown[0]} FILE) | dxl_dump -'
+        if is_named else 'export one of them, or the two of one bus'))
+
+
+def _column(rows: Sequence[str], cells: Sequence[Sequence[str]], at: int) -> list[bytes | None]:
+    """Return the bytes of a column, None where a row has none."""
+    is_ascii = any(_MARKED.fullmatch(row[at]) for row in cells)
+    values = [_value(*both, at, is_ascii) for both in zip(rows, cells, strict=True)]
     is_decimal = not any('0x' in one for one in values) and any(
         one.isdecimal() and len(one) == 3 for one in values)
-    named = [at for at, name in enumerate(names) if name in _ANALYSER][:1]
-    lines, unused = defaultdict[str, list[TextBytes]](list), {}
-    for number, (row, value) in enumerate(zip(cells, values, strict=True), 2):
-        one = _character(value) if is_ascii else _byte(value, 10 if is_decimal else 16)
-        if one is None:
-            unused[number] = rows[number - 2]
-        else:
-            time = _time(row[when], _UNITS.get(unit, NS_PER_S))
-            lines[''.join(row[at] for at in named)].append(TextBytes(one, time=time))
-    parts = [one._replace(side=_side(name) if len(lines) == 2 else UNKNOWN)
-             for name, line in lines.items() for one in line]
-    return ByteText(NAME, sorted(parts, key=lambda one: one.time or 0), unused, _which(lines))
+    return [_character(one) if is_ascii else _byte(one, 10 if is_decimal else 16)
+            for one in values]
 
 
-def _which(lines: Collection[str]) -> str:
-    """Ask which line is the bus, unless one is TX and the other RX."""
-    if len(lines) < 2 or sorted(map(_side, lines)) == [IN, OUT]:
-        return ''
-    names = [shlex.quote(printable(one)) for one in lines][:ANALYSERS_NAMED_MAX]
-    return (f'bytes of {len(lines)} analysers, {", ".join(names)}; name two TX and RX, or give '
-            f'one: (head -n 1 FILE; grep -F {names[0]} FILE) | dxl_dump -')
-
-
-def _side(name: str) -> str:
-    return next((side for side, named in _SIDES.items() if named.search(name)), UNKNOWN)
-
-
-def _value(row: str, cells: list[str], at: int, is_ascii: bool) -> str:
+def _value(row: str, cells: Sequence[str], at: int, is_ascii: bool) -> str:
     """Return what a row shows at a column; DSView does not quote a character."""
     cell = cells[at].strip()
     return cell if cell or not is_ascii else cells[at] or ''.join(row.split(',', at)[at:])[:1]
@@ -93,6 +108,8 @@ def _cells(line: str) -> list[str]:
 
 
 def _byte(value: str, base: int) -> bytes | None:
+    if both := _SHOWN_TWICE.fullmatch(value):
+        value = both[1]
     if quoted := _QUOTED.fullmatch(value):
         value = quoted[1]
         if not value.isdecimal() or len(value) == 1:

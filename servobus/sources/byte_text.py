@@ -8,32 +8,44 @@ what strace prints with other options than ours; CSV of a logic analyser is in b
 """
 from __future__ import annotations
 
+from collections.abc import Callable
+from collections.abc import Iterator
+from collections.abc import Sequence
 from itertools import chain
-from itertools import islice
 import re
 from typing import NamedTuple
 
-from msg_defs.dxl1_packet import Dxl1Framer
-from msg_defs.dxl_packet import Framer
-from msg_defs.dxl_packet import HEADER
+from msg_defs.event import Change
 from msg_defs.event import IN
+from msg_defs.event import LOST
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
 from msg_defs.units import NS_PER_S
+from servobus.plain import printable
+from servobus.sources.hex_dump import HexDump
+from servobus.sources.strace_text import StraceText
+from servobus.sources.strace_text import unescaped
+from servobus.sources.text_bytes import ByteText
+from servobus.sources.text_bytes import settle_sides
+from servobus.sources.text_bytes import TextBytes
 
 DAY_NS = 86_400 * NS_PER_S
 TIME_MIN_DIGITS = 3                # decimals of a second: coarser times say nothing of a bus
-PACKET_MAX_BYTES, HEADERS_MAX = 1100, 10_000     # looked at for a right packet
 LINE_MIN_NUMBERS = 4               # among words: fewer may be words, or a date
-_NUMBER = r'(?:(?:0x|\\x)[0-9a-f]{1,2}|[0-9a-f]{1,2}|[12]\d\d)(?![0-9a-z.])'
-_NUMBERS = re.compile(rf'(?<![0-9a-z.])(?:{_NUMBER}[\s,;:|\[\](){{}}-]*)+', re.IGNORECASE)
+LINE_MAX_COUNTS = 2                # a question's and its answer's; in `[FF] [01]` each is a byte
+BROKEN_MAX_LENGTH = 60             # characters shown of a line
+_NUMBER = (r'(?:(?:0x|\\x)[0-9a-f]{1,2}(?=0x)|(?:(?:0x|\\x)[0-9a-f]{1,2}|[0-9a-f]{2}h|'
+           r'[0-9a-f]{1,2}|[12]\d\d)(?![0-9a-z.]))')
+_NUMBERS = re.compile(rf"""(?<![0-9a-z.])(?:{_NUMBER}[\s,;:|\[\](){{}}'"-]*)+""", re.IGNORECASE)
 _WORD = r'(?:0x)?((?:[0-9a-f]{2}){6,})(?![0-9a-z])'
 _JOINED = re.compile(rf'(?<![0-9a-z])(?:{_WORD}[\s,;|]*)+', re.IGNORECASE)
 _WORDS = re.compile(_WORD, re.IGNORECASE)
+_PAIRS = re.compile(r'(?<![0-9a-z])ffff(?: (?:[0-9a-f]{2}){1,2}(?![0-9a-z]))+', re.IGNORECASE)
+# A letter in a byte, as in `FF FF O2`; `x3` and `3x` count something.
+_BROKEN = re.compile(r'[0-9a-f]{2}[\s,]{1,2}((?:\d[g-wyz]|[g-wyz]\d))(?![0-9a-z.])', re.IGNORECASE)
 # A count or an ID next to the bytes: `(8 bytes)`, `[8]:`, `len=8`, `id 1:`.
 _COUNT = re.compile(r'[\[(] ?\d{1,4} ?(?:bytes?)?[])]:?'
                     r'|\b(?:len|length|size|id) ?[=:]? ?\d{1,4}\b:?', re.IGNORECASE)
-_REPEATED = re.compile(r' \| [0-9a-f]{5}  ', re.IGNORECASE)      # by strace -e read=3, as a dump
 _DIGITS = re.compile(r'[0-9a-f]{1,3}(?![0-9a-fx])', re.IGNORECASE)
 _TIME = re.compile(r'(?<![\w.:])(?:(\d{1,2}):(\d\d):(\d\d)|(?<![-+])(\d{1,10})(?=\.\d{3}))'
                    r'(?:[.,:](\d{1,9}))?(?![\d:])(?: ?s\b)?')
@@ -42,181 +54,133 @@ _SERVO = re.compile(r'servo|motor|dxl|device|slave', re.IGNORECASE)
 _SIDE = re.compile(r'\b(?:(tx|sent|sending|send|writ|wrote|request|out\b)'
                    r'|(?:rx|recv|receiv|respon|repl|answer|in\b))|(->|>|\u2192)|<-?|\u2190',
                    re.IGNORECASE)
-_DUMP = re.compile(r'([0-9a-f]{6,16})(:? {1,3})((?:[0-9a-f]{2,4} {1,2})*[0-9a-f]{2,4})(?: .*)?',
-                   re.IGNORECASE)
-_STRING = r'"((?:[^"\\]|\\.)*)"(\.\.\.)?'
-# The parts of other text have a most: a search from each of a million places must end.
-_STRACE = re.compile(rf'\b(writev?|pwrite64|readv?|pread64)\((\d+)(?:<([^>]{{,999}})>)?, '
-                     rf'(?:\[\{{iov_base=)?{_STRING}.{{,99}}\)\s{{,99}}= (-?\d{{1,9}})')
-_OPENED = re.compile(r'open(?:at)?\([^"]{,99}"(/dev/[^"]{1,99})".{,199}= (\d{1,9})')
+_SOCAT = re.compile(r'(?m)^[<>] [\d/]{10} [\d:]{8}\.(\d{9})(?= +length=)')
 _SIGROK = re.compile(r'(?:\d+-\d+ )?[\w ]{1,40}-?\d*: (?:[\w/ ]{1,40}: )?([0-9A-F]{2})')
 _PYTHON = re.compile(r"""\bb(?:'((?:[^'\\]|\\.)*)'|"((?:[^"\\]|\\.)*)")""")
 
 
-class TextBytes(NamedTuple):
-    """Bytes of one line; time: ns since any moment, None: not said. lost: left out there."""
+class _Run(NamedTuple):
+    """Bytes in a row, and where they are in a line."""
 
     data: bytes
-    side: str = UNKNOWN
-    time: int | None = None
-    lost: int = 0
-    file: str = ''                 # strace: the number of a file or its path
-
-
-class ByteText(NamedTuple):
-    """What a text shows; unused: lines that show no bytes; problem: why it cannot be used."""
-
-    shape: str
-    parts: list[TextBytes]
-    unused: dict[int, str]         # by number
-    problem: str = ''
-
-    @property
-    def cut(self) -> str:
-        """Say that strace left out bytes, '' where it did not."""
-        lost = sum(one.lost for one in self.parts)
-        return f'; strace left out {lost} bytes, where it prints "...": add -s 4096' * (lost > 0)
-
-    @property
-    def data(self) -> bytes:
-        """Return all bytes."""
-        return b''.join(one.data for one in self.parts)
-
-    @property
-    def is_timed(self) -> bool:
-        """Tell whether all bytes have times that never go back."""
-        times = [one.time for one in self.parts]
-        known = [one for one in times if one is not None]
-        return len(known) == len(times) and known == sorted(known)
+    begin: int
+    end: int
 
 
 def read_text(text: str) -> ByteText:
     """Return what a text shows."""
+    times = _SOCAT.findall(text)
+    if times and all(one.startswith('000') for one in times):  # socat 1.7.4: microseconds
+        text = _SOCAT.sub(lambda one: one[0].removesuffix(one[1]) + one[1][3:], text)
     reader = _LineReader()
     unused = {number: line for number, line in enumerate(text.splitlines(), 1)
-              if not reader.accept(line) and line.strip('- \t`')}
-    if not reader.has_words and len({one.side for one in reader.parts}) == 1:
+              if not reader.accept(line, number) and line.strip('- \t`')}
+    for number in reader.headlines:
+        unused.pop(number, None)
+    parts: Sequence[TextBytes] = reader.strace.of_ports(reader.parts)
+    note = ''
+    if not reader.has_words and len({one.side for one in parts}) == 1:
         # An arrow in each line, as the monitor of Arduino prints, is no side.
-        reader.parts = [one._replace(side=UNKNOWN) for one in reader.parts]
-    return ByteText(' and '.join(dict.fromkeys(reader.shapes)), _of_ports(reader), unused)
-
-
-def _of_ports(reader: _LineReader) -> list[TextBytes]:
-    """Leave out what strace shows of files that are no ports."""
-    ports = reader.ports or {one.file for one in reader.parts if one.data.startswith(b'\xff\xff')}
-    return [one for one in reader.parts if not one.file or one.file in ports]
-
-
-def holds_packet(data: bytes) -> bool:
-    """Tell whether there is a packet with a right checksum among bytes."""
-    return any(_is_packet(data[found.start():found.start() + PACKET_MAX_BYTES])
-               for found in islice(re.finditer(b'(?=\xff\xff)', data), HEADERS_MAX))
-
-
-def _end_of_last_packet(data: bytes) -> int:
-    """Return where the bytes of a packet begin that lacks its end."""
-    begin = data.rfind(b'\xff\xff')
-    return len(data) if begin < 0 or _is_packet(data[begin:]) else begin
-
-
-def _is_packet(data: bytes) -> bool:
-    if data.startswith(HEADER):
-        return Framer().is_whole(data)
-    return data[2:3] != b'\xff' and Dxl1Framer().is_whole(data)
+        parts = [one._replace(side=UNKNOWN) for one in parts]
+    if not reader.strace.is_used:
+        parts, note = settle_sides(parts)
+    return ByteText(' and '.join(reader.shapes), parts, unused, baud=reader.strace.baud,
+                    notes=[one for one in (note, reader.dump.note, reader.note) if one])
 
 
 class _LineReader:
     """Reads line after line; what a line says of time and side holds for bare lines below it."""
 
     def __init__(self) -> None:
-        self.shapes: list[str] = []
+        self.shapes: dict[str, None] = {}
         self.parts: list[TextBytes] = []
-        self.ports = set[str]()    # numbers or paths, as strace prints them
+        self.headlines = set[int]()            # numbers of those that held for lines below them
+        self.note = ''
         self.has_words = False     # that name a side; else arrows do
+        self.strace = StraceText()
+        self.dump = HexDump()
         self._side = UNKNOWN
         self._time: int | None = None
+        self._number = self._headline = 0
         self._days = 0
-
-    def accept(self, line: str) -> bool:
-        """Take a line; return whether it was of use."""
-        found = next((shape for shape, read in (
+        self._readers: tuple[tuple[str, Callable[[str], bool]], ...] = (
             ('strace', self._strace), ('a hex dump', self._dump), ('Python bytes', self._python),
-            ("sigrok's text", self._sigrok), ('numbers', self._numbers)) if read(line)), '')
-        if found and found not in self.shapes:
-            self.shapes.append(found)
+            ("sigrok's text", self._sigrok), ('numbers', self._numbers))
+
+    def accept(self, line: str, number: int) -> bool:
+        """Take a line; return whether it was of use."""
+        self._number, count = number, len(self.parts)
+        found = next((shape for shape, read in self._readers if read(line)), '')
+        if len(self.parts) > count and found:
+            self.shapes[found] = None
         return bool(found)
 
     def _strace(self, line: str) -> bool:
-        if opened := _OPENED.search(line):
-            if opened[1].startswith('/dev/tty') or '/serial/' in opened[1]:
-                self.ports.add(opened[2])
-            return True
-        found = _STRACE.search(line)
-        if found is None:
-            return False
-        call, number, path, text, is_cut, result = found.groups()
-        path = unescaped(path or '').decode('latin-1')
-        if path.startswith('/dev/tty'):
-            self.ports.add(path)
-        size = int(result)
-        data = unescaped(text)[:max(0, size)]
-        if is_cut:                             # also in a packet: the rest of that is no noise
-            data = data[:_end_of_last_packet(data)]
-        if size > 0:
-            self._add(data, OUT if 'write' in call else IN, self._time_in(line[:found.start()]),
-                      size - len(data), path or number)
-        return True
+        found = self.strace.read(line)
+        if found is not None and found[1] is not None:
+            self.parts.append(found[1]._replace(time=self._time_in(line[:found[0]])))
+        return found is not None
 
     def _dump(self, line: str) -> bool:
-        if 'strace' in self.shapes and _REPEATED.match(line):
-            return True
-        found = _DUMP.fullmatch(line.strip())
-        if found is None:
-            return False
-        shown = re.split(r'  (?![0-9a-fA-F]{2} )', found[3])[0] if ':' in found[2] else found[3]
-        groups = shown.split()
-        # hexdump and od -x show numbers of two bytes, xxd shows two bytes after a colon.
-        swapped = ':' not in found[2] and all(len(one) == 4 for one in groups)
-        data = b''.join(bytes.fromhex(one)[::-1 if swapped else 1] for one in groups
-                        if len(one) % 2 == 0)
-        self._add(data, self._side, self._time)
-        return True
+        data = self.dump.read(line)
+        if data:
+            self.parts.append(TextBytes(data, *self._inherited()))
+        return data is not None
 
     def _python(self, line: str) -> bool:
-        found = list(_PYTHON.finditer(line))
-        if not found:
-            return False
-        before = line[:found[0].start()]
-        self._add(b''.join(unescaped(one[1] or one[2] or '') for one in found),
-                  self._side_in(before), self._time_in(before))
-        return True
+        return self._add_runs(line, line, [
+            _Run(unescaped(one[1] or one[2] or ''), *one.span())
+            for one in _PYTHON.finditer(line)])
 
     def _sigrok(self, line: str) -> bool:
         found = _SIGROK.fullmatch(line)
         if found is not None:
-            self._add(bytes.fromhex(found[1]), UNKNOWN, None)
+            self.parts.append(TextBytes(bytes.fromhex(found[1])))
         return found is not None
 
     def _numbers(self, line: str) -> bool:
-        bare = _DATE.sub(lambda one: ' ' * len(one[0]), line)
-        bare = _TIME.sub(lambda one: ' ' * len(one[0]), bare)
-        counts = _COUNT.findall(bare)
-        if len(counts) == 1:                   # in `[FF] [01]` each is a byte
-            bare = _COUNT.sub(lambda one: ' ' * len(one[0]), bare)
-        data, at = _bytes_in(bare)
-        side, time = self._side_in(bare[:at]), self._time_in(line[:at])
-        if not data:                           # a headline of what follows, as socat -x has
-            self._side, self._time = side, time
+        bare = _TIME.sub(_blank, _DATE.sub(_blank, line))
+        if len(_COUNT.findall(bare)) <= LINE_MAX_COUNTS:
+            bare = _COUNT.sub(_blank, bare)
+        runs = list(_runs(bare))
+        if 'Python bytes' in self.shapes and len(line) < LINE_MIN_NUMBERS:
+            return False                       # what write() returned
+        if not runs:                           # a headline of what follows, as socat -x has
+            bare = bare.removeprefix('>>> ')   # Python's prompt
+            words = {bool(one[1]) for one in _SIDE.finditer(bare) if one[0].isalpha()}
+            self._side = self._side_in(bare) if len(words) < 2 else UNKNOWN    # it means both
+            self._time, self._headline = self._time_in(line), self._number
             return False
-        is_bare = not side and time is None
-        self._add(data, self._side if is_bare else side, self._time if is_bare else time)
-        if not is_bare:
-            self._side, self._time = UNKNOWN, None
-        return True
+        if broken := _BROKEN.search(bare):
+            shown = printable(line.strip(), BROKEN_MAX_LENGTH)
+            self.note = self.note or f'{broken[1]!r} is no byte, line {self._number}: {shown}'
+            runs = [one._replace(data=b'') for one in runs]
+        self._add_runs(line, bare, runs)
+        return not broken
 
-    def _add(self, data: bytes, side: str, time: int | None, lost: int = 0,
-             file: str = '') -> None:
-        self.parts.append(TextBytes(data, side, time, lost, file))
+    def _add_runs(self, line: str, bare: str, runs: list[_Run]) -> bool:
+        """Add what a line shows: bytes, or a question and its answer; bare: without times."""
+        end, side, time = 0, UNKNOWN, None
+        for number, run in enumerate(runs):
+            before, own = bare[end:run.begin], self._time_in(line[end:run.begin])
+            end, time = run.end, time if own is None else own
+            if number and not any(one[0].isalpha() for one in _SIDE.finditer(before)):
+                side = UNKNOWN if run.data.startswith(b'\xff\xff') else side
+            else:
+                side = self._side_in(before)
+            if not (number or side) and time is None:
+                side, time = self._inherited()
+            elif not number:
+                self._side, self._time = UNKNOWN, None
+            self.parts.append(TextBytes(run.data, side, time,
+                                        None if run.data else Change(LOST, 1)))
+        return bool(runs)
+
+    def _inherited(self) -> tuple[str, int | None]:
+        """Return the side and the time that a line above says."""
+        if self._side or self._time is not None:
+            self.headlines.add(self._headline)
+        return self._side, self._time
 
     def _side_in(self, text: str) -> str:
         found = list(_SIDE.finditer(text))
@@ -245,28 +209,36 @@ class _LineReader:
         return time
 
 
-def unescaped(text: str) -> bytes:
-    """Return the bytes of a string as C and Python print them."""
-    data = text.encode('latin-1', 'replace')
-    return data.decode('unicode_escape', 'replace').encode('latin-1', 'replace')
+def _blank(found: re.Match[str]) -> str:
+    return ' ' * len(found[0])
 
 
-def _bytes_in(line: str) -> tuple[bytes, int]:
-    """Return the most bytes in a row that a line shows, and where they begin."""
-    data, at, size = b'', len(line), len(line.strip())
-    for found in chain(_NUMBERS.finditer(line), _JOINED.finditer(line)):
-        one = _values(found[0])
-        is_all = len(found[0].strip()) == size
-        if len(one) > len(data) and (is_all or len(one) >= LINE_MIN_NUMBERS):
-            data, at = one, found.start()
-    return data, at
+def _runs(line: str) -> Iterator[_Run]:
+    """
+    Yield the most bytes in a row that a line shows, and others that are as surely bytes.
+
+    Those begin as a packet does, or follow a word that names a side.
+    """
+    size = len(line.strip())
+    found = [_Run(data, *one.span()) for one in chain(
+        _NUMBERS.finditer(line), _JOINED.finditer(line), _PAIRS.finditer(line))
+        if len(data := _values(one[0])) >= LINE_MIN_NUMBERS
+        or (data and len(one[0].strip()) == size)]
+    longest, end = max(found, key=lambda run: len(run.data), default=None), 0
+    for run in sorted(found, key=lambda run: run.begin):
+        if run.begin >= end and (run is longest or run.data.startswith(b'\xff\xff') or any(
+                one[0].isalpha() for one in _SIDE.finditer(line[end:run.begin]))):
+            yield run
+            end = run.end
 
 
 def _values(numbers: str) -> bytes:
     """Return the bytes of numbers: decimal if one has three digits or none a letter."""
     if _JOINED.fullmatch(numbers):
         return bytes.fromhex(''.join(_WORDS.findall(numbers)))
-    digits = _DIGITS.findall(re.sub(r'0x|\\x', ' ', numbers, flags=re.IGNORECASE))
+    if _PAIRS.fullmatch(numbers):
+        return bytes.fromhex(numbers)
+    digits = _DIGITS.findall(re.sub(r'0x|\\x|h', ' ', numbers, flags=re.IGNORECASE))
     is_decimal = any(len(one) == 3 for one in digits)
     try:
         return bytes(int(one, 10 if is_decimal else 16) for one in digits)

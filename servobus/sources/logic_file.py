@@ -1,9 +1,9 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-A recording of sigrok (.sr): levels of lines in a zip file; the bytes of one line, 8N1.
+A recording of sigrok (.sr): levels of lines in a zip file; the bytes of one bus, 8N1.
 
-Source: sigrok, "File format: sigrok/v2". Of several lines the first that holds a packet is taken.
+Source: sigrok, "File format: sigrok/v2". A byte without a stop bit is one with a framing error.
 """
 from __future__ import annotations
 
@@ -11,17 +11,23 @@ from collections.abc import Iterator
 from configparser import ConfigParser
 from configparser import Error
 import re
+import shlex
 from typing import BinaryIO
 from zipfile import BadZipFile
 from zipfile import ZipFile
 import zlib
 
+from msg_defs.event import BREAK
+from msg_defs.event import Change
+from msg_defs.event import FRAMING
 from msg_defs.units import NS_PER_S
 from servobus.errors import UsageError
 from servobus.plain import printable
-from servobus.sources.byte_text import ByteText
-from servobus.sources.byte_text import holds_packet
-from servobus.sources.byte_text import TextBytes
+from servobus.sources.text_bytes import ByteText
+from servobus.sources.text_bytes import holds_packet
+from servobus.sources.text_bytes import NAMED_MAX
+from servobus.sources.text_bytes import one_bus
+from servobus.sources.text_bytes import TextBytes
 
 SAMPLES_MAX_BYTES = 1 << 26
 METADATA_MAX_BYTES = 1 << 16
@@ -62,16 +68,25 @@ def _decoded(zipped: ZipFile, baud: int | None) -> ByteText:
                          f'{BIT_MIN_SAMPLES * baud} or more')
     samples, is_cut = _samples(zipped, device['capturefile'])
     names = [device.get(f'probe{number + 1}', '') for number in range(8 * unit)]
+    lines = {}
     for number, name in enumerate(names):
         levels = samples[number // 8::unit].translate(
             bytes(one >> number % 8 & 1 for one in range(256)))
-        parts = list(_bytes(levels, rate, baud)) if _LOW in levels and _HIGH in levels else []
-        if holds_packet(b''.join(one.data for one in parts)):
-            shape = f'line {printable(name) or number} of sigrok at {baud} baud'
-            shape += ', the first 64 MiB' * is_cut
-            return ByteText(shape, parts, {})
-    raise UsageError(f'no line holds a packet with a right checksum at {baud} baud, 8N1; check '
-                     '-b, and that the levels are not inverted')
+        if _LOW in levels and _HIGH in levels:
+            lines[printable(name) or f'{number}'] = list(_bytes(levels, rate, baud))
+    held = {name: line for name, line in lines.items()
+            if holds_packet(b''.join(one.data for one in line))}
+    if not held:
+        raise UsageError(f'no line holds a packet with a right checksum at {baud} baud, 8N1; '
+                         'check -b, and that the levels are not inverted')
+    bus = one_bus(held if len(held) > 1 else lines)
+    if bus.rivals:
+        raise UsageError(f'packets on {len(bus.rivals)} lines, {", ".join(bus.rivals[:NAMED_MAX])}'
+                         f'; give one: sigrok-cli -i FILE -C {shlex.quote(bus.rivals[0])} -o '
+                         'one.sr')
+    shape = f'line{"s" * (len(bus.names) > 1)} {" and ".join(bus.names)} of sigrok at {baud} baud'
+    return ByteText(shape + ', the first 64 MiB' * is_cut, bus.parts, {},
+                    notes=[bus.note] * bool(bus.note))
 
 
 def _samples(zipped: ZipFile, name: str) -> tuple[bytes, bool]:
@@ -86,16 +101,17 @@ def _samples(zipped: ZipFile, name: str) -> tuple[bytes, bool]:
 
 
 def _bytes(levels: bytes, rate: float, baud: int) -> Iterator[TextBytes]:
-    """Yield each byte of a line, with the time of its end; what has no stop bit is left out."""
+    """Yield each byte of a line, with the time of its end, as a UART takes it."""
     bit = rate / baud
     at = levels.find(_HIGH)
     while (start := levels.find(_LOW, at)) >= 0 and start + 9.5 * bit < len(levels):
         middles = [levels[int(start + (number + 0.5) * bit)] for number in range(10)]
         if middles[0]:                         # a short pulse, no start bit
             at = start + 1
-        elif middles[9]:
-            value = sum(level << number for number, level in enumerate(middles[1:9]))
-            at = int(start + 9.5 * bit)
-            yield TextBytes(bytes((value,)), time=int((start + 10 * bit) / rate * NS_PER_S))
-        elif (at := levels.find(_HIGH, start + int(9.5 * bit))) < 0:
+            continue
+        value = sum(level << number for number, level in enumerate(middles[1:9]))
+        time = int((start + 10 * bit) / rate * NS_PER_S)
+        flaw = None if middles[9] else Change(FRAMING if any(middles) else BREAK, 1)
+        yield TextBytes(bytes((value,)), time=time, change=flaw)
+        if (at := levels.find(_HIGH, int(start + 9.5 * bit))) < 0:
             return

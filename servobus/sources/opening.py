@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from io import BufferedReader
 from io import RawIOBase
 import os
+import re
 import shlex
 import stat
 import sys
@@ -24,8 +25,6 @@ from servobus.errors import UsageError
 from servobus.port.port_error import PortError
 from servobus.port.preflight import why_not
 from servobus.sources.byte_csv import read_csv
-from servobus.sources.byte_text import ByteText
-from servobus.sources.byte_text import holds_packet
 from servobus.sources.byte_text import read_text
 from servobus.sources.capture import MAGIC
 from servobus.sources.logic_file import read_sigrok
@@ -37,12 +36,16 @@ from servobus.sources.source import RawFile
 from servobus.sources.source import Source
 from servobus.sources.source import TextFile
 from servobus.sources.source_name import is_live
+from servobus.sources.text_bytes import ByteText
+from servobus.sources.text_bytes import holds_packet
 from servobus.sources.usb_source import is_usb
 from servobus.sources.usb_source import may_be_usb
 from servobus.sources.usb_source import UsbFile
 
 HEAD_SIZE = 64
 TEXT_MAX_BYTES = 1 << 24           # longer texts are refused
+STRANGE_MAX_SHARE = 0.1            # share of the letters of a text
+_COLOUR = re.compile(r'\x1b\[[0-9;]{0,20}[A-Za-z]')      # a terminal shows
 REPORT = '# dxl_doctor report'         # how a report of dxl_doctor begins
 _HEARS = {
     'servobus': "dxl_tap arm -- {}, and servobus.listen('tap:arm')",
@@ -176,7 +179,7 @@ def _text_file(name: str, file: BufferedReader, baud: int | None, tool: str) -> 
 
 
 def _shown(content: bytes) -> ByteText:
-    text = content.decode(_encoding(content), 'replace')
+    text = _COLOUR.sub('', content.decode(_encoding(content), 'replace'))
     return read_csv(text) or read_text(text)
 
 
@@ -203,10 +206,16 @@ class _Joined(RawIOBase):
 
 
 def is_text(begin: bytes) -> bool:
-    """Tell whether a file that begins so is text; a packet has a byte 255, which no text has."""
-    try:
-        # Its last letter may be cut.
-        text = codecs.getincrementaldecoder(_encoding(begin))().decode(begin)
-    except UnicodeDecodeError:
+    """
+    Tell whether a file that begins so is text; a packet has a byte 255, which no text has.
+
+    A few bytes may be of an older encoding, as Windows writes it.
+    """
+    encoding = _encoding(begin)
+    if encoding == 'utf-8-sig' and b'\xff' in begin:
         return False
-    return bool(text) and all(letter.isprintable() or letter.isspace() for letter in text)
+    # Its last letter may be cut.
+    text = _COLOUR.sub('', codecs.getincrementaldecoder(encoding)('replace').decode(begin))
+    strange = text.count('\ufffd')
+    return bool(text) and strange <= STRANGE_MAX_SHARE * len(text) and all(
+        letter.isprintable() or letter.isspace() for letter in text if letter != '\ufffd')

@@ -13,18 +13,16 @@ from io import BufferedReader
 import os
 
 from msg_defs.event import BAUD
-from msg_defs.event import Change
 from msg_defs.event import Chunk
-from msg_defs.event import LOST
 from msg_defs.event import OUT
 from servobus.plain import printable
-from servobus.sources.byte_text import ByteText
 from servobus.sources.capture import BAD_TEXT_MAX_LENGTH
 from servobus.sources.capture import lines
 from servobus.sources.capture import Moment
 from servobus.sources.capture import Reader
 from servobus.sources.capture import Wire
 from servobus.sources.source_name import DEFAULT_BAUD
+from servobus.sources.text_bytes import ByteText
 
 READ_SIZE = 65_536
 _BYTE_NS = 10_000_000_000          # over the baud rate
@@ -175,30 +173,31 @@ class TextFile(File):
 
     def _begin(self) -> None:
         self.total = 0
-        # No text says the rate; without times packets are placed as with the default one.
-        self._add_bus(0 if self.is_timed else DEFAULT_BAUD)
+        # Most texts do not say the rate; without times packets are placed as with the default one.
+        self._add_bus(self._text.baud or (0 if self.is_timed else DEFAULT_BAUD))
 
     def _read(self) -> Iterator[Chunk]:
-        name, baud = self._bus, self._baud or DEFAULT_BAUD
+        name, baud = self._bus, self._baud or self._text.baud or DEFAULT_BAUD
         first = self._text.parts[0].time or 0
         sent = 0
-        for data, side, time, lost, _ in self._text.parts:
+        for data, side, time, change, _ in self._text.parts:
             before, sent = sent, sent + len(data)
             at = 1 + (before if side == OUT else sent) * _BYTE_NS // baud
             if self.is_timed and time is not None:
                 at = 1 + _BYTE_NS // baud + time - first       # its first bit is not before 0
             if data:
                 yield Chunk(at, name, data, side)
-            if lost > 0:
-                yield Chunk(at, name, change=Change(LOST, lost))
+            if change is not None:
+                yield Chunk(at, name, change=change)
 
     def _problems(self) -> list[str]:
         """Say what the text was taken for, and what of it was not used."""
         text = f'read as {self._text.shape}: {len(self._text.data)} bytes'
         text += '' if self.is_timed else '; exact times are not known'
-        text += self._text.cut
+        text += f'; {self._text.flawed} of them have errors' * bool(self._text.flawed)
+        text += self._text.cut + ''.join(f'; {one}' for one in self._text.notes)
         if unused := self._text.unused:
             number, line = next(iter(unused.items()))
-            text += (f'; {len(unused)} lines not used, the first is line {number}: '
-                     f'{printable(line.strip(), BAD_TEXT_MAX_LENGTH)}')
+            text += (f'; {len(unused)} line{"s" * (len(unused) > 1)} not used, the first is line '
+                     f'{number}: {printable(line.strip(), BAD_TEXT_MAX_LENGTH)}')
         return [text]
