@@ -741,6 +741,7 @@ def test_what_explain_prints():
     text = explain.in_words(explain.find('[RxPacketError] Overload error!'))
     assert 'hardware error' in text
     whole = explain.in_words(explain.explanations())
+    assert '{}' not in whole
     assert '  Possible causes, the likeliest first: .' not in whole
     assert max(map(len, text.splitlines())) <= 80
 

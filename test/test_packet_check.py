@@ -74,7 +74,9 @@ def test_a_read_of_all_is_not_answered(text):
 
 
 @pytest.mark.parametrize(('text', 'words'), [
-    ('FF FF 01', '3 bytes; the shortest packet has 6'), ('55 AA', 'a packet begins with FF FF')])
+    ('FF FF 01', '3 bytes; the shortest packet has 6'), ('55 AA', 'a packet begins with FF FF'),
+    ('FF FF FF 01 04 02 38 02 BE', 'one FF too many'), ('FF FF FF 02 01 FD', 'or ID 255'),
+    ('FF FF FD 00 FD 03 00 01 31 7E', 'ID 253, which no servo has')])
 def test_what_cannot_be_a_packet(text, words):
     code, [line], errors = check(text)
     assert (code, words in line, errors) == (1, True, [])
@@ -83,6 +85,13 @@ def test_what_cannot_be_a_packet(text, words):
 def test_no_hex_is_a_mistake_in_one_line():
     code, lines, [error] = check('hello')
     assert (code, lines, 'not bytes in hex' in error) == (2, [], True)
+
+
+@pytest.mark.parametrize(('text', 'byte'), [
+    ('FF FF O1 04 02 38 02 BE', 'O1'), ('FF FF 01 04 02 38 02 BG', 'BG')])
+def test_a_letter_in_a_byte_is_named(text, byte):
+    code, lines, [error] = check(text)
+    assert (code, lines, f"'{byte}' is no byte in hex" in error) == (2, [], True)
 
 
 def test_any_bytes_have_an_answer():

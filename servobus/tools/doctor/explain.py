@@ -103,7 +103,8 @@ def in_words(found: Sequence[Explanation]) -> str:
     """Return what is printed."""
     paragraphs = []
     for one in found:
-        paragraphs += [f'{one.text}\n  printed by {", ".join(one.says)}', _paragraph(one.means)]
+        title = one.text.replace('{}', '...')
+        paragraphs += [f'{title}\n  printed by {", ".join(one.says)}', _paragraph(one.means)]
         if one.findings:
             names = ', '.join(name.replace('_', ' ') for name in one.findings)
             paragraphs.append(_paragraph(f'Possible causes, the likeliest first: {names}.'))

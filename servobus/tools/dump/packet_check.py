@@ -30,6 +30,8 @@ from servobus.tools.dump.listing import Listing
 from servobus.tools.dump.packet_lines import columns_of
 
 _SEPARATORS = re.compile(r'\\x|0x|[\s,;:{}\[\]()-]', re.IGNORECASE)
+_BROKEN = re.compile(r'(?<=\bFF )(?=\S*[G-Z])\S{2}(?!\S)|(?<=[0-9A-F]{2} )(?=\S*[G-Z])'
+                     r'(?=\S?[0-9A-F])\S{2}(?!\S)', re.IGNORECASE)     # a letter O, as a rule
 _STAMP = 1_000_000_000
 _FRONT_1, _FRONT_2 = 4, 7          # bytes up to the end of Length
 _MIN_1, _MIN_2 = 6, 10             # bytes of the shortest packet
@@ -40,6 +42,8 @@ def bytes_of(text: str) -> bytes:
     digits = _SEPARATORS.sub(' ', text).split()
     with suppress(ValueError):
         return b''.join(bytes.fromhex(one if len(one) != 1 else f'0{one}') for one in digits)
+    if broken := _BROKEN.search(' '.join(digits)):
+        raise UsageError(f'--check {text!r}: {broken[0]!r} is no byte in hex')
     if data := read_text(text).data:       # decimal numbers, Python's b''
         return data
     raise UsageError(f"--check {text!r}: not bytes in hex; write e.g. 'FF FF 01 04 02 38 02 BE'")
@@ -66,6 +70,10 @@ def check_packet(packet: bytes, settings: Settings, models: Models) -> tuple[boo
     shortest = _MIN_2 if is_2 else _MIN_1
     if len(packet) < shortest:
         return False, [f'{family}: {len(packet)} bytes; the shortest packet has {shortest}']
+    if not is_2 and packet[2] == 0xFF:
+        return False, [f'{family}: FF FF FF, one FF too many, or ID 255, which no servo has']
+    if is_2 and packet[4] in (0xFD, 0xFF):
+        return False, [f'{family}: ID {packet[4]}, which no servo has; use 0 to 252, 254 for all']
     right, problems = (_right_2 if is_2 else _right_1)(packet)
     lines = [f'{family}, {len(packet)} bytes: {"wrong" if problems else "right"}', *problems]
     if problems:
