@@ -260,6 +260,20 @@ def test_errors_that_an_analyser_saw_are_counted(run):
         dxl_dump, content.replace('0x55,,', '0x55,,Error').replace('0x34,,', '0x34,Error,'))[2]
 
 
+@pytest.mark.parametrize('end', [5, 7, 8])
+def test_damaged_answers_of_a_text_are_no_silence(run, end):
+    rows = ''
+    for number in (1, 2, 3) * 5:
+        body = bytes((number, 4, 0, 0, 8))
+        answer = b'\xff\xff' + body + bytes((~sum(body) & 0xFF,))
+        question = bytes((number, 4, 2, 56, 2))
+        rows += f'TX: FF FF {hexed(question)} {~sum(question) & 0xFF:02X}\n'
+        rows += f'RX: {hexed(answer if number != 2 else answer[:end - 1] + bytes(end == 8))}\n'
+    _, out, _ = run(dxl_doctor, rows)
+    assert 'answers came damaged' in out and 'no power' not in out
+    assert ' baud' not in out.splitlines()[0]
+
+
 def test_the_rate_that_strace_shows_is_taken(run):
     _, out, _ = run(dxl_doctor, SHAPES['strace of a library'])
     assert ' 1000000 baud' in out.splitlines()[0]

@@ -60,8 +60,10 @@ def open_symptoms(report: BusReport, found: Sequence[Finding]) -> list[Finding]:
     left = [Finding('', Level.WARN, one.device, f'{one.seen}: {one.causes}', step=one.step)
             for one in _symptoms(report) if not any(_accounts_for(cause, one) for cause in found)]
     if not (left or found) and report.level is Level.WARN:
-        return [Finding('', Level.WARN, None, report.message, step='listen for longer '
-                        '(`--seconds 60`): what comes again has a cause that shows')]
+        damaged = sum(report.kinds.get(kind, 0) for kind in DAMAGE_KINDS)
+        seen = f'{damaged} packets damaged' if damaged else report.message
+        return [Finding('', Level.WARN, None, seen, step='listen for longer: what comes again '
+                        'has a cause that shows')]
     return [one for one in left if one.device is not None] or left
 
 
@@ -121,6 +123,14 @@ def _silent_bus(report: BusReport, lost: Sequence[DeviceReport]) -> _Symptom:
 
 
 def _silent(device: DeviceReport) -> _Symptom:
+    totals = device.totals
+    if 2 * totals.spoilt > totals.missed:
+        return _Symptom(
+            {'silent device', 'damaged answers'},
+            f'{totals.spoilt} of {totals.asked} answers came damaged',
+            'a bad cable, another baud rate, or a second device with its ID',
+            f'unplug {device.id:03} and ping it: what answers then is a second device; if '
+            'nothing does, try another cable, then other baud rates', device.id)
     step = f'unplug all but {device.id:03} and ping it: if it answers, its cable is bad or ' \
         'another device disturbs it; if not, it has no power, or another ID or baud rate'
     causes = 'no power, or a bad cable' if device.last_heard_s is not None else \

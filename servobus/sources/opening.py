@@ -209,7 +209,7 @@ def is_text(begin: bytes) -> bool:
     """
     Tell whether a file that begins so is text; a packet has a byte 255, which no text has.
 
-    A few bytes may be of an older encoding, as Windows writes it.
+    A few bytes may be of an older encoding, as Windows writes it, where it shows packets.
     """
     encoding = _encoding(begin)
     if encoding == 'utf-8-sig' and b'\xff' in begin:
@@ -217,5 +217,7 @@ def is_text(begin: bytes) -> bool:
     # Its last letter may be cut.
     text = _COLOUR.sub('', codecs.getincrementaldecoder(encoding)('replace').decode(begin))
     strange = text.count('\ufffd')
+    if strange and b'\xff\xff' not in _shown(begin).data:
+        return False
     return bool(text) and strange <= STRANGE_MAX_SHARE * len(text) and all(
         letter.isprintable() or letter.isspace() for letter in text if letter != '\ufffd')

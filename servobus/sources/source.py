@@ -14,7 +14,10 @@ import os
 
 from msg_defs.event import BAUD
 from msg_defs.event import Chunk
+from msg_defs.event import IN
 from msg_defs.event import OUT
+from msg_defs.event import UNKNOWN
+from msg_defs.uart import IDLE_S
 from servobus.plain import printable
 from servobus.sources.capture import BAD_TEXT_MAX_LENGTH
 from servobus.sources.capture import lines
@@ -26,6 +29,7 @@ from servobus.sources.text_bytes import ByteText
 
 READ_SIZE = 65_536
 _BYTE_NS = 10_000_000_000          # over the baud rate
+_PAUSE_NS = int(1.25e9 * IDLE_S)
 Chunks = Iterator[Chunk | None]    # None: nothing came for a moment
 
 
@@ -164,7 +168,11 @@ class RawFile(File):
 
 
 class TextFile(File):
-    """Bytes that a text shows; without exact times they are taken as sent without a pause."""
+    """
+    Bytes that a text shows; without exact times they are taken as sent without a pause.
+
+    But before a question the line was idle: what is left of an answer then does not come.
+    """
 
     def __init__(self, name: str, file: BufferedReader, baud: int | None, text: ByteText) -> None:
         self._text = text
@@ -173,16 +181,17 @@ class TextFile(File):
 
     def _begin(self) -> None:
         self.total = 0
-        # Most texts do not say the rate; without times packets are placed as with the default one.
-        self._add_bus(self._text.baud or (0 if self.is_timed else DEFAULT_BAUD))
+        self._add_bus(self._text.baud)         # most texts do not say it
 
     def _read(self) -> Iterator[Chunk]:
         name, baud = self._bus, self._baud or self._text.baud or DEFAULT_BAUD
         first = self._text.parts[0].time or 0
-        sent = 0
+        sent, paused, last = 0, 0, UNKNOWN
         for data, side, time, change, _ in self._text.parts:
             before, sent = sent, sent + len(data)
-            at = 1 + (before if side == OUT else sent) * _BYTE_NS // baud
+            paused += _PAUSE_NS * (side == OUT and last == IN)
+            last = side
+            at = 1 + paused + (before if side == OUT else sent) * _BYTE_NS // baud
             if self.is_timed and time is not None:
                 at = 1 + _BYTE_NS // baud + time - first       # its first bit is not before 0
             if data:

@@ -40,6 +40,7 @@ from servobus.bus.instruction_plans import NO_PLAN
 from servobus.bus.plan import Plan
 from servobus.bus.report import Incident
 from servobus.model.models import Models
+from servobus.sources.source_name import DEFAULT_BAUD
 
 PACKET = 'packet'
 DAMAGED = 'damaged'
@@ -149,7 +150,7 @@ class Listing(BusDecoder):
     def _began(self, start: int, stamp: int, received: int) -> int:
         """Return when the byte at this offset was on the wire."""
         if not self._is_timed:
-            return start * BITS_PER_BYTE * 1_000_000_000 // self.settings.baud
+            return start * BITS_PER_BYTE * 1_000_000_000 // (self.settings.baud or DEFAULT_BAUD)
         return stamp - int((received - start) * self.registry.byte_ns)
 
     def process_pause(self, last: int, now: int) -> None:
