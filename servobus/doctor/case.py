@@ -102,7 +102,7 @@ class Mark(NamedTuple):
     packets: int
     instructions: int
     answers: int                   # all devices together
-    stray_packets: int             # behind a stray byte
+    stray_packets: int             # after a stray byte
     echoes: int
     overruns: int
     framing: int                   # errors that the driver counted

@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Lines of xxd, hexdump and od, one by one; `*` stands for lines like the one before it.
+Lines of xxd, hexdump and od, one by one; `*` is for lines like the one before it.
 
 How many is in the offsets, which are octal (od) or hexadecimal; where that is not known, it is not
 guessed.
@@ -15,7 +15,7 @@ OD_DIGITS = 7                      # an offset has: od, in octal; hexdump, with 
 _LINE = re.compile(r'([0-9a-f]{6,16})(:? {1,3})((?:[0-9a-f]{2,4} {1,2})*[0-9a-f]{2,4})(?: .*)?',
                    re.IGNORECASE)
 _END = re.compile(r'[0-9a-f]{6,16}', re.IGNORECASE)
-FOLDED = 'lines that * stands for are left out: print them with -v'
+FOLDED = '`*` leaves lines out: print them with -v'
 
 
 class HexDump:

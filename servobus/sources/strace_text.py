@@ -3,7 +3,7 @@
 """
 Lines of strace as people run it, with any options: which bytes a program read and wrote.
 
-A number stands for one file until it is closed, or opened again. A port is what is opened as one
+A number is of one file until it is closed, or opened again. A port is what is opened as one
 or has settings of a terminal.
 """
 from __future__ import annotations
