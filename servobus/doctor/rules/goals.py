@@ -58,6 +58,7 @@ NEGATIVE_MAX = 8192                # as two's complement; without it 24576: no s
 ROUND_SPEED = 100
 BYTE = 256
 AX_STEPS = 1023                    # the highest position of AX and RX (e-Manual)
+FAR_OF_AX_STEPS = 50               # as GOAL_FAR_STEPS, of an AX
 AX_RANGE = 300 * tau / 360         # rad that these steps are of
 GOAL_CHANGES_MIN = 3               # after so many a joint that rests at its stop has moved
 POSITION_CONTROL = 3               # a value of Operating Mode (e-Manual)
@@ -356,7 +357,7 @@ def operating_mode(case: Case, device: DeviceReport) -> Found | None:
     remedy = 'write its angle limits: with 0 in both it is a wheel' \
         if device.model.protocol == '1' else 'write 0 (position) to Operating Mode, with Lock 0' \
         if is_feetech else 'switch its torque off, write 3 (position) to Operating Mode'
-    if device.id in case.turned and _turns_past_goals(case, device, _turn_of(goal.field)):
+    if device.id in case.turned and _turns_past_goals(case, device, goal.field):
         return Claim('its goals are within one turn, and it turns on and on past them, as in '
                      f'velocity or PWM mode: {remedy}', rests_on=_PLACE_AND_MODE)
     if is_feetech and device.id in case.turned and _moves_by_its_goals(case.samples[device.id]):
@@ -398,12 +399,17 @@ def _turn_of(field: Field) -> int:
     return TURN_STEPS if is_of_one_turn(field) else AX_STEPS + 1 if is_of_ax else 0
 
 
-def _turns_past_goals(case: Case, device: DeviceReport, turn: int) -> bool:
+def _turns_past_goals(case: Case, device: DeviceReport, field: Field) -> bool:
     """Tell whether a joint goes half a turn and more in one way, away from goals in one turn."""
-    samples, far = case.samples[device.id], GOAL_FAR_STEPS * turn // TURN_STEPS
-    if len(samples) <= INCIDENTS_MIN or abs(
-            (samples[-1].position or 0) - (samples[-2].position or 0)) <= far:
+    samples = case.samples[device.id]
+    moved = abs((samples[-1].position or 0) - (samples[-2].position or 0)) \
+        if len(samples) > INCIDENTS_MIN else 0
+    if moved <= FAR_OF_AX_STEPS:
         return False                           # it does not turn now
+    turn = _turn_of(field)
+    far = GOAL_FAR_STEPS if turn == TURN_STEPS else FAR_OF_AX_STEPS
+    if moved <= far:
+        return False
     known = [(one.goal, one.position) for one in samples
              if one.goal is not None and one.position is not None]
     if not all(0 <= goal < turn and 0 <= place < turn for goal, place in known):
