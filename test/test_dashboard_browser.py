@@ -393,7 +393,7 @@ def test_signals_at_the_rate_of_the_bus(open_page):
             state='attached')
         for _ in source.rings:
             page.get_by_role('button', name='Add', exact=True).click()
-        see(page, '.legend', 'Present Position[^/]* rad\\s*50 /s, -1 to 1')
+        see(page, '.legend', 'Present Position[^/]* rad\\s*49 /s, -1 to 1')
         see(page, '.legend', 'Goal Position.*0.99 rad')
         assert page.locator('.signals canvas').count() == 1         # over each other
         page.locator('.signals canvas').hover(position={'x': 700, 'y': 50})
@@ -463,6 +463,12 @@ def test_a_link_shows_the_same_difference_time_and_cursors(open_page):
         assert 'minus' not in page.evaluate('location.href')
         page.get_by_role('button', name='60 s').click()
         assert 'from=' not in page.evaluate('location.href')
+        page.goto('about:blank')
+        page.goto(f'{address}&from=1700000980.2&to=1700000980.8')       # nothing was read
+        see(page, '.legend', 'Present Positionno data\u00d7.*Goal Position0.95 rad\u00d7')
+        page.goto('about:blank')
+        page.goto(f'{address}&from=1700000979&to=1700000990.5')         # part of it without values
+        see(page, '.legend', r'Present Position[^/]*46 /s.* of 52.*Goal.*0.087 /s, 0.95 to 0.99')
         page.goto('about:blank')
         page.goto(f'{address}&from=1600000000&to=1600000001')
         see(page, '.signals [role=status]', 'The time of this link is over')
@@ -624,7 +630,7 @@ def test_figures_between_two_times_of_a_plot(page):
              turned([0, 60], 9, {deltaX: 0, deltaY: 100, deltaMode: 0}, [0, 60]),
              turned([0, 20], 9, {deltaX: -9, deltaY: 0, deltaMode: 0}, [0, 60])]];
     }""")
-    assert statistics == {'count': 3, 'mean': 4, 'deviation': 2}
+    assert statistics == {'count': 3, 'rate': 1, 'low': 2, 'high': 6, 'mean': 4, 'deviation': 2}
     assert [one and (one['low'], one['high']) for one in differences] == [(2, 3), (-3, -2), None]
     assert ranges == [[12, 28], [10, 35], [12, 32], [8, 28], [0, 60], [0, 20]]
 

@@ -224,7 +224,8 @@ export class Plot {
     const mark = s !== null && isWithin(this.#mark, this.range) ? this.#mark : null;
     const rows = shown.map((one, index) => {
       const {step, isSampled} = one;
-      const read = (time) => readAt(one.points, time, near, {gap, step, isSampled});
+      const points = s === null ? one.points.filter(([time]) => time <= this.range[1]) : one.points;
+      const read = (time) => readAt(points, time, near, {gap, step, isSampled});
       const value = read(s);
       return {...one, index, value, difference: mark !== null && differenceOf(read(mark), value)};
     });

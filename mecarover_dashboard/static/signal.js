@@ -70,17 +70,25 @@ export class Signal {
     return count && count / Math.min(RATE_S, now - this.data[this.begin]);
   }
 
-  /** {count, mean, deviation} of the values from one time to another; deviation: of the sample. */
+  /**
+   * {count, rate, low, high, mean, deviation} of the values from one time to another; rate: per
+   * second; deviation: of the sample. What was written before counts for low and high: it holds.
+   */
   statistics(from, to) {
-    let [count, mean, squares] = [0, 0, 0];
-    for (let at = this.indexOf(from); at < this.end && this.data[at] <= to; at += 2) {
+    let [count, mean, squares, low, high] = [0, 0, 0, Infinity, -Infinity];
+    const first = this.indexOf(from);
+    const held = this.isWritten ? 2 : 0;
+    for (let at = Math.max(this.begin, first - held); at < this.end && this.data[at] <= to; at += 2) {
       const value = this.data[at + 1];
       if (!Number.isFinite(value)) continue;
+      [low, high] = [Math.min(low, value), Math.max(high, value)];
+      if (at < first) continue;
       const error = value - mean;
       mean += error / ++count;
       squares += error * (value - mean);
     }
-    return {count, mean, deviation: Math.sqrt(squares / Math.max(1, count - 1))};
+    const rate = count && count / (to - Math.max(from, this.data[this.begin]));
+    return {count, rate, low, high, mean, deviation: Math.sqrt(squares / Math.max(1, count - 1))};
   }
 
   /**

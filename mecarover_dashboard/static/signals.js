@@ -293,8 +293,7 @@ export class SignalsView {
         const points = signal.drawn(from, to, plot.width, now);
         const [, unit] = splitUnit(signal.key);
         return {name: this.#name(signal), unit, points,
-          note: [...rateOf(signal, now, this.isSampled), ...extremes(points, unit),
-            ...averageOf(signal, from, to, unit)].join(', '),
+          note: statisticsOf(signal, from, to, this.isSampled),
           hasDots: !signal.isWritten, isSampled: this.isSampled,
           remove: () => this.#remove(signal)};
       }), to, {gap: Infinity, rest: 0, zero: now,
@@ -397,26 +396,19 @@ function nameOf({id, joint, bus}, devices) {
   return [id3(id), joint, devices.some((one) => one.bus !== bus) && bus].filter(Boolean).join(' ');
 }
 
-const rateOf = (signal, now, isSampled) => signal.end > signal.begin
-  ? [`${figure(signal.rate(now), 2)} ${isSampled ? 'samples/s' : '/s'}`] : [];
-
-/** The lowest and highest of what is shown, as a text; nothing where they are one. */
-function extremes(points, reported) {
-  const [unit, factor] = shownIn(reported);
-  const known = points.filter(([, value]) => value !== null);
-  const low = factor * Math.min(...known.map((point) => point[1]));
-  const high = factor * Math.max(...known.map((point) => point[2]));
-  return low < high ? [`${measured(low, unit)} to ${measured(high, unit)}`] : [];
-}
-
-/** Nothing of what was written: the mean of rare writes is not that of the time they hold. */
-function averageOf(signal, from, to, reported) {
-  if (signal.isWritten) return [];
-  const [unit, factor] = shownIn(reported);
-  const {count, mean, deviation} = signal.statistics(from, to);
-  return deviation > 0
-    ? [`mean ${measured(factor * mean, unit)}, \u03c3 ${figure(factor * deviation, 3)} of ${count}`]
-    : [];
+/**
+ * What is known of the values from one time to another, as a text. No mean of what was written:
+ * that of rare writes is not that of the time they hold.
+ */
+function statisticsOf(signal, from, to, isSampled) {
+  const [unit, factor] = shownIn(splitUnit(signal.key)[1]);
+  const {count, rate, low, high, mean, deviation} = signal.statistics(from, to);
+  const text = (value) => measured(factor * value, unit);
+  return [count > 0 && `${figure(rate, 2)} ${isSampled ? 'samples/s' : '/s'}`,
+    low < high && `${text(low)} to ${text(high)}`,
+    deviation > 0 && !signal.isWritten
+      && `mean ${text(mean)}, \u03c3 ${figure(factor * deviation, 3)} of ${count}`]
+    .filter(Boolean).join(', ');
 }
 
 /** Fill a select with [value, text]. */
