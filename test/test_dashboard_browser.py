@@ -732,15 +732,15 @@ def test_lowest_and_highest_are_a_band(page):
 
 
 def causes(page, *events):
-    """Return who, what, how often, and whether it is over, of events (kind, level, who, text)."""
+    """Return who, what, how often, from when, until when, of events (kind, level, who, text)."""
     newest_first = [[at, f'dxl_monitor: {who}', '', kind, level, text]
                     for at, (kind, level, who, text) in enumerate(events)][::-1]
     found = page.evaluate("""async (events) => {
         const {causesOf} = await import('./causes.js');
         return causesOf(events);
     }""", newest_first)
-    return [(', '.join(one['who']), one['text'], one['count'], one['first'], one['last'],
-             one['isOver']) for one in found]
+    return [(', '.join(one['who']), one['text'], one['count'], one['begin'], one['end'])
+            for one in found]
 
 
 def test_events_are_grouped_by_cause(page):
@@ -748,21 +748,22 @@ def test_events_are_grouped_by_cause(page):
         'state', 0, '007 knee', 'connected')
     missed = ('error', 2, 'bus', '007: no answer to Read at 132')
     other = (*missed[:3], '008: no answer to Read at 7')
-    assert causes(page, lost, well) == [('007 knee', lost[3], 1, 0, 1, True)]
+    assert causes(page, lost, well) == [('007 knee', lost[3], 1, 0, 1)]
     assert causes(page, lost, well, lost, missed, other) == [
-        ('007, 008', 'no answer to Read at 7', 2, 3, 4, False),
-        ('007 knee', lost[3], 2, 0, 2, False)]
+        ('007, 008', 'no answer to Read at 7', 2, 4, None), ('007 knee', lost[3], 2, 2, None)]
     assert causes(page, missed, other, missed, lost, well) == [     # missed on the way to its loss
-        ('007 knee', lost[3], 1, 0, 4, True), ('008', 'no answer to Read at 7', 1, 1, 1, False)]
+        ('007 knee', lost[3], 1, 3, 4), ('008', 'no answer to Read at 7', 1, 1, None)]
     assert causes(page, lost, ('state', 2, '008 hip', 'disconnected: 9 answers missed'), well) == [
-        ('007 knee, 008 hip', 'disconnected: 9 answers missed', 2, 0, 2, False)]
+        ('007 knee, 008 hip', 'disconnected: 9 answers missed', 2, 0, None)]
     hot = ('finding', 1, '007 knee', 'too hot: 82 \u00b0C')
     assert causes(page, hot, ('state', 0, '007 knee', 'connected'), (*hot[:3], 'loose: x'),
                   ('over', 0, '007 knee', 'too hot')) == [
-        ('007 knee', hot[3], 1, 0, 3, True), ('007 knee', 'loose: x', 1, 2, 2, False),
-        ('007 knee', 'connected', 1, 1, 1, False)]
+        ('007 knee', 'loose: x', 1, 2, None), ('007 knee', 'connected', 1, 1, None),
+        ('007 knee', hot[3], 1, 0, 3)]
+    assert causes(page, hot, (*hot[:3], 'too hot: 83'), ('over', 0, '007 knee', 'too hot')) == [
+        ('007 knee', 'too hot: 83', 2, 0, 2)]
     assert causes(page, lost, ('state', 1, '007 knee', 'Warning'), well) == [
-        ('007 knee', 'Warning', 1, 1, 2, True), ('007 knee', lost[3], 1, 0, 0, True)]
+        ('007 knee', 'Warning', 1, 1, 2), ('007 knee', lost[3], 1, 0, 1)]
 
 
 @contextmanager
@@ -777,7 +778,7 @@ def recorded(folder):
             for at in range(0, 3000, 10) for source in (knee, hip)],
             [Event(begin + at, knee, 'state', level, text) for at, level, text in (
                 (900, 2, 'disconnected: 5 answers missed'), (960, 0, 'connected'),
-                (1800, 2, 'disconnected: 7 answers missed'))])
+                (1800.3, 2, 'disconnected: 7 answers missed'))])
     with Dashboard(history=folder / 'history.sqlite') as dashboard, Feed(dashboard):
         yield dashboard, begin
 
@@ -795,10 +796,13 @@ def test_times_of_the_history_as_people_write_them(open_page, tmp_path):
         see(page, '.events summary', '007 left_knee.*7 answers missed.*2 times, first')
         page.locator('.events summary', has_text='left_knee').click()
         assert page.locator('.events ol li').count() == 3
-        at = time.strftime('%H:%M', time.gmtime(begin + 960 + 9 * 3600))
+
+        def local(at_s):
+            return time.strftime('%H:%M', time.gmtime(begin + at_s + 9 * 3600))
+        at = local(960)
         page.get_by_label('To', exact=True).fill(at)
         page.keyboard.press('Enter')
-        see(page, '.events summary', '5 answers missed.*ended')
+        see(page, '.events summary', f'{local(900)}.*5 answers missed.*until {local(960)}')
         assert int(asked(page)['to']) == begin + 960
         for one in ('From', 'To'):                                  # no AM, no month first
             assert re.fullmatch(r'(\d{4}-\d\d-\d\d )?\d\d:\d\d:\d\d',
@@ -846,6 +850,28 @@ def test_one_slider_moves_cards_plots_and_events(open_page, tmp_path):
         page.get_by_role('button', name='Live').click()
         see(page, '.player-time', '^now$')
         wait(lambda: asked(page) == {'from': '-1 h'})
+        page.context.close()
+
+
+def test_the_link_of_an_event_shows_it(open_page, tmp_path):
+    """Also where it was within a second; and until when it lasted, where that is later."""
+    with recorded(tmp_path) as (dashboard, begin):
+        page = open_page(f'{dashboard.address}#/history/dxl_monitor: 007 left_knee?from={begin}'
+                         f'&to={begin + 3000}&at={begin + 930}')
+        shown_at = time.strftime('%H:%M:%S', time.localtime(begin + 930))
+        see(page, '.past', f'Events up to {shown_at}')
+        see(page, '.events li', '5 answers missed.*until')
+        page.goto(f'{dashboard.address}#/history?from={begin}&to={begin + 3000}')
+        page.locator('.events summary', has_text='left_knee').click()
+        row = page.locator('.events ol li', has_text='7 answers missed')
+        row.get_by_role('link', name='007 left_knee').click()
+        see(page, 'h1', 'left_knee')
+        see(page, '.events li', '7 answers missed')
+        page.go_back()
+        page.locator('.events summary', has_text='left_knee').click()
+        row.get_by_role('link').first.click()                           # its time: of all
+        see(page, '.then h2', time.strftime('%H:%M:%S', time.localtime(begin + 1801)))
+        see(page, '.events li', '7 answers missed')
         page.context.close()
 
 

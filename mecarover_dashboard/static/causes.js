@@ -16,28 +16,43 @@ const isEnd = ([, , , kind, level]) => kind === 'over' || (kind === 'state' && l
 
 /**
  * Events [at, name, robot, kind, level, text], the newest first, by cause: [{key, state, who, text,
- * count, first, last, isOver, events}, ...]. A cause may have several devices, and figures that
- * change. To it belong that a device is well again, and the answers missed before it was lost.
+ * count, first, begin, end, events}, ...]; begin and end are those of the last time, end is null
+ * while it lasts. A cause may have several devices, and figures that change. To it belong that a
+ * device is well again, and the answers missed before it was lost. What is later than `until` only
+ * says when a cause ended.
  */
-export function causesOf(events) {
+export function causesOf(events, until = Infinity) {
   const causes = new Map();
   const open = new Map();      // the cause of the state that each source is in, where that is not OK
   const lossOf = lossesOf(events);
   for (const event of [...events].reverse()) {
-    const [, name, robot, kind] = event;
+    const [at, name, robot, kind] = event;
     const source = `${robot} ${name} ${kind === 'state' ? '' : causeOf(event)}`;
-    const begun = lossOf(event) ?? event;
-    const key = isEnd(event) && open.get(source) || `${robot} ${causeOf(begun)}`;
-    if (!causes.has(key)) causes.set(key, {key, kind: begun[3], events: [], open: new Set()});
-    const cause = causes.get(key);
-    cause.events.unshift(event);
-    causes.get(open.get(source))?.open.delete(source);
-    open.delete(source);
-    if (isEnd(event) || kind === 'error' || kind === GAP) continue;
-    open.set(source, key);
-    cause.open.add(source);
+    const before = open.get(source);
+    const isLater = at > until;
+    if (!isLater) {
+      const begun = lossOf(event) ?? event;
+      const key = isEnd(event) && before?.key || `${robot} ${causeOf(begun)}`;
+      if (!causes.has(key)) {
+        causes.set(key, {key, kind: begun[3], events: [], open: new Set(), begin: at, end: null});
+      }
+      const cause = causes.get(key);
+      cause.events.unshift(event);
+      if (!isEnd(event) && kind === cause.kind && !cause.open.size) cause.begin = at;
+      if (isEnd(event) || kind === 'error' || kind === GAP) {
+        open.delete(source);
+      } else {
+        open.set(source, cause);
+        cause.open.add(source);
+      }
+    } else {
+      open.delete(source);
+    }
+    if (!before || before === open.get(source)) continue;
+    before.open.delete(source);
+    if (!before.open.size) before.end = at;
   }
-  return [...causes.values()].map(summary).sort((a, b) => b.last - a.last);
+  return [...causes.values()].map(summary).sort((a, b) => b.begin - a.begin);
 }
 
 /** A function from an error to the loss of its device soon after; undefined: there is none. */
@@ -62,7 +77,7 @@ function causeOf([, , , kind, , text]) {
   return `${kind} ${(OF_DEVICE.exec(text)?.[2] ?? text).replace(/\d+([.,]\d+)?/g, '#')}`;
 }
 
-function summary({key, kind: ofAll, events, open}) {
+function summary({key, kind: ofAll, events, open, begin, end}) {
   const begins = events.filter((event) => !isEnd(event) && event[3] === ofAll);
   const some = begins.length ? begins : events;
   const who = [...new Set(some.map(([, name, , kind, , text]) =>
@@ -70,30 +85,29 @@ function summary({key, kind: ofAll, events, open}) {
   const [, , , kind, , text] = some[0];
   return {key, events, who, count: some.length, state: worst(some.map(stateOf)),
     text: kind === 'error' && OF_DEVICE.exec(text)?.[2] || (kind === 'over' ? spelt(some[0]) : text),
-    first: events.at(-1)[0], last: events[0][0],
-    isOver: begins.length > 0 && ofAll !== 'error' && ofAll !== GAP && !open.size};
+    first: some.at(-1)[0], begin, end: open.size ? null : end};
 }
 
 const spelt = ([, , , kind, , text]) => kind === 'over' ? `ended: ${text}` : text;
 
 export class EventList {
-  /** hrefOf(at, name): the address of what happened to a source around a time. */
-  constructor(hrefOf) {
-    this.hrefOf = hrefOf;
+  /** hrefOf(at, name): the address of what happened to a source, null: to all, around a time. */
+  constructor(hrefOf, of) {
+    Object.assign(this, {hrefOf, of});
     this.element = h('ol', {class: 'events', tabindex: 0, ariaLabel: 'Events'});
   }
 
-  /** Show events, the newest first; now: Unix s. */
-  update(events, now) {
+  /** Show events, the newest first, up to a time; now: Unix s. */
+  update(events, now, until = Infinity) {
     this.now = now;
-    const items = causesOf(events);
+    const items = causesOf(events, until);
     each(this.element, items.length ? items : [{key: '', events: []}],
       ({key, events: {length}}) => `${key} ${Math.min(2, length)}`,
       ({events: {length}}) => length > 1 ? this.#makeCause() : length ? makeEvent()
         : h('li', {class: 'quiet'}, 'No events in this time.'),
       (item, cause) => {
         if (cause.events.length > 1) this.#showCause(item, cause);
-        else if (cause.events.length) this.#showEvent(item, cause.events[0]);
+        else if (cause.events.length) this.#showEvent(item, cause.events[0], this.#lengthOf(cause));
       });
   }
 
@@ -107,13 +121,18 @@ export class EventList {
     const [, time, who, text, often] = item.firstChild.firstChild.children;
     item.events = cause.events;
     showState(item.firstChild.firstChild, cause.state);
-    say(time, clock(cause.last, this.now));
+    say(time, clock(cause.begin, this.now));
     say(who, list(cause.who));
     say(text, cause.text);
-    say(often, [cause.count > 1 && plural(cause.count, 'time'),
-      cause.first < cause.last && `first ${clock(cause.first, this.now)}`,
-      cause.isOver && 'ended'].filter(Boolean).join(', '));
+    say(often, this.#lengthOf(cause));
     this.#showOpen(item);
+  }
+
+  /** '3 times, first 14:02:07, until 14:05:20' */
+  #lengthOf({count, first, begin, end}) {
+    return [count > 1 && plural(count, 'time'),
+      count > 1 && first < begin && `first ${clock(first, this.now)}`,
+      end !== null && `until ${clock(end, this.now)}`].filter(Boolean).join(', ');
   }
 
   #showOpen(item) {
@@ -122,16 +141,19 @@ export class EventList {
       ({index}) => index, makeEvent, (line, {event}) => this.#showEvent(line, event));
   }
 
-  #showEvent(item, event) {
-    const [, time, link, words] = item.children;
+  #showEvent(item, event, length = '') {
+    const [, time, link, words, often] = item.children;
     const [at, name] = event;
     showState(item, stateOf(event));
-    say(time, clock(at, this.now));
+    set(time, 'href', this.hrefOf(at, this.of));
+    say(time.firstChild, clock(at, this.now));
     set(link, 'href', name && this.hrefOf(at, name));
     link.hidden = !name;
     say(link, nameOf(name));
     say(words, spelt(event));
+    say(often, length);
   }
 }
 
-const makeEvent = () => h('li', {}, icon('ok'), h('time'), h('a'), h('span'));
+const makeEvent = () => h('li', {}, icon('ok'), h('a', {}, h('time')), h('a'), h('span'),
+  h('small'));

@@ -55,13 +55,13 @@ export class HistoryPanel {
       (what) => h('a', {class: 'button small', download: `${what}.${format}`, 'data-what': what,
         'data-format': format}, `${what} as ${format.toUpperCase()}`)));
     this.problem = h('p', {class: 'message', role: 'status'});
-    this.zone = h('p', {class: 'quiet'}, `Times here: ${zone()}. Times in the files: UTC.`);
+    this.zone = h('p', {class: 'quiet'});
     this.levels = h('div', {class: 'levels', role: 'img', ariaLabel: 'State'});
     this.levels.hidden = true;
     this.plots = new Plots(([name]) => this.#makePlot(name), (cursor) => {
       if (cursor === null) this.#point();
     });
-    this.events = new EventList(pathAround);
+    this.events = new EventList(pathAround, of);
     this.cards = new HistoryCards((at, name) => `${path('history', name)}?${
       new URLSearchParams({from: this.from, to: this.to, at: String(at)})}`);
     this.body = h('div', {class: 'past'},
@@ -263,15 +263,20 @@ export class HistoryPanel {
   }
 
   #showEvents() {
-    const fits = ([at, , , kind]) => (this.at === null || at <= this.at) && (!this.kind
-      || kind === this.kind || kind === GAP || (this.kind === 'finding' && kind === 'over'));
-    this.events.update((this.shown ?? []).filter(fits), this.now);
+    const {at} = this;
+    say(this.zone, `${at === null ? '' : `Events up to ${clock(at, this.now)}. `}Times here: ${
+      zone()}. Times in the files: UTC.`);
+    const fits = ([, , , kind]) => !this.kind || kind === this.kind || kind === GAP
+      || (this.kind === 'finding' && kind === 'over');
+    this.events.update((this.shown ?? []).filter(fits), this.now, at ?? Infinity);
   }
 }
 
-/** The address of a source around a time. */
-const pathAround = (at, name) => `${path('history', name)}?from=${Math.floor(at) - AROUND_S}`
-  + `&to=${Math.floor(at) + AROUND_S}&at=${Math.floor(at)}`;
+/** The address of a source, or of all, around a time; an event of this second is before it. */
+function pathAround(at, name) {
+  const s = Math.ceil(at);
+  return `${path('history', ...name ? [name] : [])}?from=${s - AROUND_S}&to=${s + AROUND_S}&at=${s}`;
+}
 
 /** When nothing was recorded, as events. */
 const gapsOf = ({gaps}) => gaps.map(([from, to]) => [to, '', '', GAP, LEVELS.indexOf('stale'),
