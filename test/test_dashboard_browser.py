@@ -476,6 +476,30 @@ def test_a_link_shows_the_same_difference_time_and_cursors(open_page):
         page.context.close()
 
 
+def test_signals_stay_while_another_view_is_looked_at(open_page):
+    """By the tab and by Back: the choice, and a pause with data that the server has no more."""
+    source = Source()
+    with Dashboard(signals=source) as dashboard, Feed(dashboard):
+        page = open_page(f'{dashboard.address}#/signals?{PAIR}&minus=0.1&span=60')
+        see(page, '.legend', 'Present Position \u2212 Goal Position')
+        page.get_by_role('link', name='History').click()
+        see(page, 'h1', 'History')
+        page.get_by_role('link', name='Signals').click()
+        see(page, '.legend', 'Present Position \u2212 Goal Position.* of 2\\d\\d0')
+        page.get_by_role('button', name='Pause').click()
+        source.now_s += 1000
+        source.rings.clear()
+        for back in (page.get_by_role('link', name='Signals').click, page.go_back):
+            page.get_by_role('link', name='Devices').click()
+            page.locator('.devices tbody tr').first.wait_for()
+            page.locator('#angles').click()
+            back()
+            see(page, '.signals [aria-pressed=true]', 'Paused')
+            see(page, '.legend', 'Present Position \u2212 Goal Position.* of 2\\d\\d0')
+            assert parse_qs(page.url.partition('?')[2])['minus'] == ['0.1']
+        page.context.close()
+
+
 @pytest.mark.parametrize('size', ['touch', 'phone'])
 def test_the_choice_of_signals_is_whole_on_a_small_display(dashboard, robot, open_page, size):
     page = open_page(f'{dashboard.address}#/signals?{PAIR}', size)

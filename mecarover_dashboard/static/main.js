@@ -31,6 +31,7 @@ const at = (id) => document.getElementById(id);
 const main = at('main');
 const player = new Player(at('player'));
 let view = null;
+let left = null;               // the view Signals that was shown last: {key, view}
 let shown = '';                // the view on the page, with its robot
 let live = true;
 let lostText = '';
@@ -65,7 +66,7 @@ function go(isFirst) {
   view?.close?.();
   setRobot(isOne ? null : robot);
   store.show(isOne ? null : robot);
-  view = new VIEWS[name](rest, filters);
+  view = name === 'signals' ? signalsView(key, filters) : new VIEWS[name](rest, filters);
   stream.watch(view.watch ?? '', view.wantsValues ?? false);
   main.replaceChildren(view.element);
   document.body.dataset.view = name || 'overview';
@@ -74,13 +75,24 @@ function go(isFirst) {
   showAll();
 }
 
+/** As it was left, with its choice and a pause; not where the address asks for something else. */
+function signalsView(key, filters) {
+  if (left?.key === key && ['', left.view.query].includes(filters.toString())) {
+    left.view.resume();
+  } else {
+    left?.view.plots.close();
+    left = {key, view: new SignalsView([], filters)};
+  }
+  return left.view;
+}
+
 function showAngles() {
   const unit = shownIn('rad')[0] === 'rad' ? 'rad' : 'deg';
   say(at('angles'), unit);
   set(at('angles'), 'aria-label', `Angles in ${unit}`);
 }
 
-/** A view is made for one unit: make it again. */
+/** Most views are made for one unit: make them again. */
 function changeAngles() {
   toggleAngles();
   go(true);

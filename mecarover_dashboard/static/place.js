@@ -29,10 +29,12 @@ export function readPlace(hash) {
   }
 }
 
-/** Write filters into the address, so that it can be kept and sent; empty ones are left out. */
+/** Write filters into the address, so that it can be kept and sent, and return them as they */
+/** are there; empty ones are left out. */
 export function keepFilters(filters) {
   const some = (Array.isArray(filters) ? filters : Object.entries(filters))
     .filter(([, value]) => value);
   const query = new URLSearchParams(some).toString();
   history.replaceState(null, '', location.hash.split('?')[0] + (query ? `?${query}` : ''));
+  return query;
 }

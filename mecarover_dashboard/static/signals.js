@@ -41,6 +41,7 @@ export class SignalsView {
       pair.split('.').map((index) => this.signals.all[index]))
       .filter(([one, other]) => one && other).map(([one, other]) => new Difference(one, other));
     this.problem = '';
+    this.query = filters.toString();         // of the address
     this.watch = filters.get('of') ?? '';
     this.device = h('select', {ariaLabel: 'Device', onchange: () => {
       this.watch = this.device.value;
@@ -63,7 +64,7 @@ export class SignalsView {
     this.csv = h('button', {class: 'button', onclick: () => this.#save()}, 'CSV');
     this.words = h('p', {class: 'quiet', role: 'status'});
     this.empty = h('div', {class: 'empty'});
-    this.plots = new Plots((group) => this.#makePlot(group), (cursor) => {
+    this.plots = new Plots(() => this.#makePlot(), (cursor) => {
       if (cursor !== null) this.#cursor = this.range[1] - cursor;
       if (this.#zoom) this.#remember();
     });
@@ -86,9 +87,15 @@ export class SignalsView {
   }
 
   close() {
+    this.wasOpen = this.signals.isOpen;
     this.signals.close();
     clearTimeout(this.timer);
-    this.plots.close();
+  }
+
+  /** Go on after close(), with the same choice, and paused where it was. */
+  resume() {
+    if (this.wasOpen) this.signals.open();
+    if (!this.#wanted) this.#keepPlace();
   }
 
   #show(span) {
@@ -137,7 +144,7 @@ export class SignalsView {
     const times = this.#zoom
       ? [['from', this.#zoom[0]], ['to', this.#zoom[1]], ['mark', this.#mark],
         ['cursor', this.#cursor]] : [];
-    keepFilters([
+    this.query = keepFilters([
       ...all.flatMap(({device, key}) => [['of', device], ['register', key]]),
       ...this.differences.map(({parts}) =>
         ['minus', parts.map((one) => all.indexOf(one)).join('.')]),
@@ -285,14 +292,14 @@ export class SignalsView {
     const [from, to] = this.range;
     set(this.marks, 'aria-pressed', this.#mark !== null);
     const groups = [...groupsOf(all), ...groupsOf(this.differences, 'difference ')];
-    this.plots.update(groups, ({key}) => key, (plot, {some}, element) => {
+    this.plots.update(groups, ({key}) => key, (plot, {unit, some}, element) => {
       set(element, 'data-empty', some.every((one) => one.end === one.begin));
+      plot.label = `Signals, ${shownIn(unit)[0]}`;
       plot.cover(to - from, {isQuiet: true});
       plot.isZoomed = Boolean(this.#zoom);
       plot.update(some.map((signal) => {
         const points = signal.drawn(from, to, plot.width, now);
-        const [, unit] = splitUnit(signal.key);
-        return {name: this.#name(signal), unit, points,
+        return {name: this.#name(signal), unit: splitUnit(signal.key)[1], points,
           note: statisticsOf(signal, from, to, this.isSampled),
           hasDots: !signal.isWritten, isSampled: this.isSampled,
           remove: () => this.#remove(signal)};
@@ -312,8 +319,8 @@ export class SignalsView {
     return this.#zoom ?? [this.signals.now - this.#span, this.signals.now];
   }
 
-  #makePlot({unit}) {
-    const plot = new Plot(`Signals, ${shownIn(unit)[0]}`);
+  #makePlot() {
+    const plot = new Plot('Signals');
     plot.onZoom = (zoom) => {
       if (!zoom) {
         this.#show(this.#span);
