@@ -500,6 +500,28 @@ def test_signals_stay_while_another_view_is_looked_at(open_page):
         page.context.close()
 
 
+PLACES = """() => [...document.querySelectorAll('.views a, main .past-head, main canvas')]
+    .map((one) => one.getBoundingClientRect()).map(({x, y, width}) => [x, y, width].join())"""
+
+
+@pytest.mark.parametrize('size', SIZES)
+@pytest.mark.parametrize('view', ['signals', 'history'])
+def test_a_problem_that_appears_moves_nothing(open_page, tmp_path, view, size):
+    robot = SyntheticRobot()
+    with Dashboard(history=tmp_path / 'history.sqlite') as dashboard, Feed(dashboard, robot):
+        page = open_page(dashboard.address, size)
+        show(page, view)
+        see(page, '.past, .legend', 'Times here|Present')
+        before = page.evaluate(PLACES)
+        robot.lost = {7}
+        page.locator('#headline').wait_for()
+        page.locator('[data-pip=overview][data-state]').wait_for()
+        assert page.evaluate(PLACES) == before
+        box = page.locator('#headline').bounding_box()
+        assert box['y'] + box['height'] <= SIZES[size][1]              # it is seen
+        page.context.close()
+
+
 @pytest.mark.parametrize('size', ['touch', 'phone'])
 def test_the_choice_of_signals_is_whole_on_a_small_display(dashboard, robot, open_page, size):
     page = open_page(f'{dashboard.address}#/signals?{PAIR}', size)
