@@ -119,7 +119,7 @@ class Dashboard:
             reader = HistoryReader(self.file)
             asked = Question(0, 1e11 - 1)
             for points in (1, 600):
-                json.dumps([answer(reader, asked, points) for answer in (
+                json.dumps([answer(reader, asked._replace(points=points)) for answer in (
                     history_requests._values_json, history_requests._events_json)],
                     allow_nan=False)
             assert all(isinstance(cell, str) for answer in (
