@@ -41,7 +41,7 @@ export class SignalsView {
       pair.split('.').map((index) => this.signals.all[index]))
       .filter(([one, other]) => one && other).map(([one, other]) => new Difference(one, other));
     this.problem = '';
-    this.query = filters.toString();         // of the address
+    this.query = filters.toString();         // as the address has it
     this.watch = filters.get('of') ?? '';
     this.device = h('select', {ariaLabel: 'Device', onchange: () => {
       this.watch = this.device.value;
