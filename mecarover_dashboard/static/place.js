@@ -29,8 +29,7 @@ export function readPlace(hash) {
   }
 }
 
-/** Write filters into the address, so that it can be kept and sent, and return them as they */
-/** are there; empty ones are left out. */
+/** Write filters into the address, so that it can be kept and sent; return its query. Empty ones are left out. */
 export function keepFilters(filters) {
   const some = (Array.isArray(filters) ? filters : Object.entries(filters))
     .filter(([, value]) => value);
