@@ -55,7 +55,6 @@ EEPROM_WRITES_MIN = 30             # in 10 s: no start-up writes as many
 POLLED_MIN_READS = 20              # from a device that was never written
 POLLED_MIN_S = 3.0                 # by then each is written that will be, and models are known
 ACKS_MISSING_MIN = 3               # as the decoder learns that writes are not acknowledged
-ACK_WAIT_MIN_US = 5000             # a program that waits for none goes on at once
 ACKS_ONSET_S = 1.0                 # acknowledgements that get lost come again by then
 ANSWERS_OTHERWISE_S = 2.0          # an answer to something else, so lately: it is there
 STOPPED_MIN_S = 1.2                # two reports at the usual 2 Hz, and what chunks blur
@@ -537,16 +536,8 @@ def no_acks(case: Case, device: DeviceReport) -> Found | None:
                  'a master that waits for it loses a time-out '
                  f'each time; use Sync Write or level {2 + shift}'
                  f"{'; if it has that, check its plugs' * has_ended}",
-                 level=Level.WARN if has_ended or _awaits_acks(case, device) else None,
-                 is_certain=has_ended,
+                 level=Level.WARN if has_ended else None, is_certain=has_ended,
                  rests_on=() if has_ended or unanswered else (ANSWER,))
-
-
-def _awaits_acks(case: Case, device: DeviceReport) -> bool:
-    """Tell whether the program waits for what does not come, so that it loses the time."""
-    return case.has_sides and sum(
-        one.device == device.id and one.instruction in SINGLE_WRITES and one.us > ACK_WAIT_MIN_US
-        for one in case.report.waits) >= INCIDENTS_MIN
 
 
 @Rule(level=Level.OK,
