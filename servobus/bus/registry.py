@@ -51,8 +51,8 @@ _RESET_KEEPS: dict[str, tuple[str, ...]] = {
     '': ('ID', 'Baud Rate'),
 }
 _CALIBRATED = (PLACE, OFFSET)
-# Where a device of unknown model has its ID, by its protocol; the Baud Rate comes after it.
 _LOCK = (55, 1)                    # the use of Lock of Feetech, where registers are not known
+# Where a device of unknown model has its ID, by its protocol; the Baud Rate comes after it.
 _ID_AT = {'2': (7,), '1': (3,), 'feetech': (5,), '1 or feetech': (3, 5)}
 _DIALECTS = {dialect.protocol: dialect for dialect in DIALECTS}
 _CLEARS = {MULTI_TURN: PLACE, ERROR: 'Hardware Error Status'}

@@ -44,7 +44,7 @@ def why_not(path: str, error: Exception, root: Path = ROOT) -> Reason:
     if number in (errno.EACCES, errno.EPERM):
         return _permission(path, root)
     if number in (errno.EBUSY, errno.EAGAIN):
-        return _busy(path)
+        return busy(path)
     if number in (errno.ENOTTY, errno.EINVAL):
         return _not_a_port('not a serial port')
     if '://' in path and number is not None:
@@ -193,7 +193,8 @@ def _end_login(path: str) -> str:
             f'sudo udevadm trigger --action=add {device}')
 
 
-def _busy(path: str) -> Reason:
+def busy(path: str) -> Reason:
+    """Return who has a port that one cannot use, and what helps."""
     who = holders(path)
     if who:
         in_the_way = [one for one in who if not one.is_maker] or who

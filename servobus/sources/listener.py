@@ -49,6 +49,12 @@ PROCESS_RETRY_NS = 30_000_000_000       # until a process is tried again that di
 STARTING = 'starting'           # the kind of state before the port was tried
 
 
+def in_use(port: str, busy: Reason) -> PortError:
+    """Return the error of a port that another program has: how else it can be heard."""
+    return PortError(port, busy._replace(
+        remedy=f'{busy.remedy}, or hear what it does with {ways_to_hear(port)}'))
+
+
 class ListenerState(NamedTuple):
     """Whether the port is open; if not, why: `kind` for programs, `text` is a line for people."""
 
@@ -153,9 +159,7 @@ class Listener:
         except PortError as error:
             if error.kind != 'busy':
                 raise
-            raise PortError(self.port, Reason(
-                'busy', error.reason,
-                f'{error.remedy}, or hear what it does with {ways_to_hear(self.port)}')) from error
+            raise in_use(self.port, Reason(error.kind, error.reason, error.remedy)) from error
         try:
             self._prepare(port)
             self._listen(port)

@@ -10,12 +10,12 @@ import sys
 import time
 
 from msg_defs.event import Chunk
-from servobus.port.port_error import PortError
-from servobus.port.port_error import Reason
 from servobus.port.port_users import holders
 from servobus.port.port_users import is_terminal
+from servobus.port.preflight import busy
 from servobus.sources.capture import Wire
 from servobus.sources.capture_recorder import moment
+from servobus.sources.listener import in_use
 from servobus.sources.listener import STARTING
 from servobus.sources.listeners import listener_on
 from servobus.sources.source import Chunks
@@ -24,7 +24,6 @@ from servobus.sources.source import Source
 from servobus.sources.source_name import bus_name
 from servobus.sources.source_name import has_sides
 from servobus.sources.source_name import rate_of
-from servobus.sources.source_name import ways_to_hear
 
 TICK_S = 0.1
 QUEUED_CHUNKS_MAX = 100_000        # chunks that wait because our output is not taken
@@ -32,12 +31,8 @@ QUEUED_CHUNKS_MAX = 100_000        # chunks that wait because our output is not 
 
 def _refuse_shared(name: str) -> None:
     """Raise PortError for a port that a program reads: each would take bytes from the other."""
-    others = [one for one in holders(name) if not (one.is_login or one.is_maker)] \
-        if is_terminal(name) else []
-    if others:
-        names = ', '.join(one.name for one in others)
-        raise PortError(name, Reason('busy', f'in use by {names}', 'stop that program, or hear '
-                                     f'what it does with {ways_to_hear(name)}'))
+    if is_terminal(name) and any(not (one.is_login or one.is_maker) for one in holders(name)):
+        raise in_use(name, busy(name))
 
 
 class LivePort(Source):

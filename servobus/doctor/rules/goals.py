@@ -57,7 +57,7 @@ SIGN_AT = 15                       # the bit of a velocity of Feetech that is it
 NEGATIVE_MAX = 8192                # as two's complement; without it 24576: no servo is so fast
 ROUND_SPEED = 100
 BYTE = 256
-AX_STEPS = 1023                    # the highest position of AX and RX (e-Manual)
+AX_STEPS = 1024                    # the positions of AX and RX (e-Manual)
 FAR_OF_AX_STEPS = 50               # as GOAL_FAR_STEPS, of an AX
 AX_RANGE = 300 * tau / 360         # rad that these steps are of
 GOAL_CHANGES_MIN = 3               # after so many a joint that rests at its stop has moved
@@ -315,11 +315,11 @@ def torque_off(case: Case, device: DeviceReport) -> Found | None:
         return Claim('goals leave its position on both sides or repeatedly, and it '
                      f'does not move: {first}, or check its motor and what '
                      'blocks it', rests_on=_MOTION)
-    if device.model.protocol == '1' and place.value.raw > AX_STEPS and _no_joint_moves(case):
+    if device.model.protocol == '1' and place.value.raw >= AX_STEPS and _no_joint_moves(case):
         return Claim('goals change, and no joint moves; its position '
-                     f'{place.value.raw} is beyond the {AX_STEPS} of an AX: a Feetech servo has '
-                     'its goal at 42 and its position at 56; if it is an MX, write 1 to Torque '
-                     'Enable', rests_on=_MOTION)
+                     f'{place.value.raw} is beyond the {AX_STEPS - 1} of an AX: a Feetech servo '
+                     'has its goal at 42 and its position at 56; if it is an MX, write 1 to '
+                     'Torque Enable', rests_on=_MOTION)
     if may_hold or (
             torque is not None and torque.value.raw and not absences(case, device)):
         return None                    # it is on, so something holds it, or it is where it can be
@@ -395,8 +395,8 @@ def _force_at_zero(case: Case, device: DeviceReport) -> str:
 
 def _turn_of(field: Field) -> int:
     """Return after how many steps a position begins at 0 again, 0 where that is unknown."""
-    is_of_ax = isclose((AX_STEPS + 1) * (field.scale or 0.0), AX_RANGE, abs_tol=0.01)
-    return TURN_STEPS if is_of_one_turn(field) else AX_STEPS + 1 if is_of_ax else 0
+    is_of_ax = isclose(AX_STEPS * (field.scale or 0.0), AX_RANGE, abs_tol=0.01)
+    return TURN_STEPS if is_of_one_turn(field) else AX_STEPS if is_of_ax else 0
 
 
 def _turns_past_goals(case: Case, device: DeviceReport, field: Field) -> bool:
@@ -492,12 +492,11 @@ def _others_move(case: Case, device: DeviceReport, samples: list[Sample]) -> boo
 
 def _no_joint_moves(case: Case) -> bool:
     """Tell whether goals within the steps of an AX change all the time, and no joint moved yet."""
-    driven = [samples for number in case.samples
-              if len(samples := [*case.samples[number]]) > STILL_MIN_REPORTS
+    driven = [samples for samples in case.samples.values() if len(samples) > STILL_MIN_REPORTS
               and span([one.goal for one in samples]) >= GOAL_MOVES_STEPS]
     return len(driven) > 1 and all(
         0 <= span([one.position for one in samples]) <= STILL_MAX_STEPS
-        and max(one.goal or 0 for one in samples) <= AX_STEPS
+        and max(one.goal or 0 for one in samples) < AX_STEPS
         and sum(one.goal != two.goal for one, two in pairwise(samples)) >= GOAL_CHANGES_MIN
         for samples in driven)
 

@@ -270,12 +270,12 @@ def _lost_together(case: Case, device: DeviceReport) -> list[int]:
     since = device.last_heard_s
     if since is None or device.id not in case.gone:
         return []
-    return _neighbours_in(case, device.id, {
+    return _adjacent(case, device.id, {
         one.id for one in case.devices if one.missed_in_a_row and one.last_heard_s is not None
         and abs(one.last_heard_s - since) <= TOGETHER_S})
 
 
-def _neighbours_in(case: Case, number: int, ids: Set[int]) -> list[int]:
+def _adjacent(case: Case, number: int, ids: Set[int]) -> list[int]:
     """Return those of some devices that are next to one by ID, with it; nothing if it is alone."""
     groups = groupby(sorted(case.by_id), key=ids.__contains__)
     found = next((group for is_in, some in groups if is_in and number in (group := [*some])), [])
@@ -429,7 +429,7 @@ def dropout(case: Case, device: DeviceReport) -> Found | None:
     alike = [other for other in absences(case) for one in gaps
              if abs(other.stamp - one.stamp) <= TOGETHER_S * NS_PER_S
              and abs(other.detail.ms - one.detail.ms) <= TOGETHER_S * 1000]
-    together = _neighbours_in(case, device.id, {one.device for one in alike})
+    together = _adjacent(case, device.id, {one.device for one in alike})
     if together and len(together) < len(case.devices):
         return Claim(f'{first_ids(together, 3)} were silent together for '
                      f'{max(one.detail.ms for one in alike)} ms, others were not: check '

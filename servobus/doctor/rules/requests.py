@@ -67,7 +67,8 @@ TAKEN_MIN = 5                      # answers
 TAKEN_MAX_LATER = 1.5              # as many as are taken: after these it did not ask at once
 NO_IDS = (0xFD, 0xFF)
 EEPROM_AGE_MAX_S = 2.0             # written again and again: so long ago at most
-_MODEL_AT = {'Dynamixel 1.0': 0, 'Feetech': 3}        # a Ping of these is answered without it
+# Where the model is, which the answer to a Ping of these does not have.
+_MODEL_AT = {one.name: one.identity_at for one in (DYNAMIXEL_1, FEETECH)}
 _NO_ID = ', which no device can have (0 to 252): correct the ID in its program'
 SENT_MIN_BYTES = 30                # three packets
 SCAN_MIN_PINGS = 15                # broadcast Pings in 10 s: each needs 0.8 s
