@@ -16,6 +16,7 @@ from servobus.bus import report as words
 from servobus.bus.report import BusReport
 from servobus.bus.report import Counts
 from servobus.bus.report import Cycle
+from servobus.bus.report import CycleTimes
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import IdWrite
 from servobus.bus.report import Incident
@@ -220,6 +221,7 @@ _READ = {
     'noise': bytes.fromhex,
     'id_writes': lambda rows: tuple(_id_write(**row) for row in rows),
     'loop': lambda of: _loop(**of),
+    'cycle': lambda of: CycleTimes(**{**of, 'waiting': tuple(map(tuple, of['waiting']))}),
     'waits': lambda rows: tuple(one for row in rows for one in _waits(**row)),
     'samples': lambda of: {number: [_sample(*row) for row in rows]
                            for number, rows in of.items()},

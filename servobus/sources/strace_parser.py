@@ -48,7 +48,8 @@ WRITE_LATE_NS = 20_000_000         # a write that takes longer has the time befo
 PRINTED_MAX_BYTES = 65_536         # bytes that strace prints of a call
 _WRITES = frozenset(('write', 'pwrite64', 'writev', 'pwritev', 'pwritev2'))
 _READS = frozenset(('read', 'pread64', 'readv', 'preadv', 'preadv2'))
-_WAITS = frozenset(('poll', 'ppoll', 'select', 'pselect6'))
+_POLLS = frozenset(('poll', 'ppoll'))
+_WAITS = _POLLS | {'select', 'pselect6'}
 _HUNG_UP = {one.encode(): getattr(errno, one) for one in ('EIO', 'ENXIO', 'ENODEV')}
 _UNSEEN = frozenset(('splice', 'sendfile', 'copy_file_range'))      # strace prints no bytes
 _OTHERS = ('open', 'openat', 'openat2', 'creat', 'close', 'dup', 'dup2', 'dup3', 'fcntl', 'ioctl',
@@ -65,6 +66,8 @@ _LINE = re.compile(rb' *(\d+) +(\d+)\.(\d{9}) \(\+ +(\d+)\.(\d{9})\) (.*)')
 _CALL = re.compile(rb'(\w+)\((.*)\)\s+= (-?\d+)(?:<([^>]*)>(?:\(deleted\))?)?(?: (E\w+)?[^<].*?)?'
                    rb'(?: <(\d+)\.(\d{9})>)?')
 _FD = re.compile(rb'(\d+)<((?:\\x[0-9a-f]{2})+)>')
+_POLLED_FD = re.compile(rb'fd=\d+<((?:\\x[0-9a-f]{2})+)>, '
+                        rb'events=0x[0-9a-f]*[13579bdf]\b')       # with POLLIN
 _STRING = re.compile(rb'"((?:\\x[0-9a-f]{2})*)"')
 _UNFINISHED = b' <unfinished ...>'
 _CFLAG = re.compile(rb'c_cflags?=(0x[0-9a-f]+)')        # the rate, or all flags
@@ -239,7 +242,7 @@ class StraceParser:
         is_wait = name in _WAITS and result >= 0
         if not is_wait and name != 'epoll_ctl':
             return
-        for _, path in _FD.findall(arguments):
+        for path in _awaited_files(name, arguments):
             port = self._port(path)
             if port is None:
                 continue
@@ -278,6 +281,16 @@ class StraceParser:
             for port in self._ports.values():
                 yield from _release(port, {one for one in port.holders if one[0] == thread_id},
                                     self._now)
+
+
+def _awaited_files(name: str, arguments: bytes) -> list[bytes]:
+    """Return the files that a call waits to read from: who waits to write, looks for nothing."""
+    if name in _POLLS:
+        return _POLLED_FD.findall(arguments)
+    if name in _WAITS:
+        read_set = arguments.partition(b', ')[2]
+        arguments = read_set.partition(b']')[0] if read_set.startswith(b'[') else b''
+    return [path for _, path in _FD.findall(arguments)]
 
 
 def _before_write(port: _TracedPort, stamp: int, thread: _TracedThread) -> PortEvents:

@@ -55,6 +55,7 @@ EEPROM_WRITES_MIN = 30             # in 10 s: no start-up writes as many
 POLLED_MIN_READS = 20              # from a device that was never written
 POLLED_MIN_S = 3.0                 # by then each is written that will be, and models are known
 ACKS_MISSING_MIN = 3               # as the decoder learns that writes are not acknowledged
+ACKS_WAIT_MIN_SHARE = 0.05         # share of a cycle; the waits of two lost answers are less
 ACKS_ONSET_S = 1.0                 # acknowledgements that get lost come again by then
 ANSWERS_OTHERWISE_S = 2.0          # an answer to something else, so lately: it is there
 STOPPED_MIN_S = 1.2                # two reports at the usual 2 Hz, and what chunks blur
@@ -509,7 +510,7 @@ def eeprom_wear(case: Case, device: DeviceReport) -> Found | None:
       accounts_for={'missed answers', 'silent device'})
 def no_acks(case: Case, device: DeviceReport) -> Found | None:
     """
-    No answers to writes: Status Return Level 1; WARN where the program ended on that.
+    No answers to writes: Status Return Level 1; WARN where the program waits, or ended on that.
 
     Do: nothing, if the master knows; else level 2.
     """
@@ -533,12 +534,23 @@ def no_acks(case: Case, device: DeviceReport) -> Found | None:
                      f'Level to {2 + shift}; if not, check its power and plug')
     level = device.status_return_level
     says = f'below {2 + shift}' if level is None else f'{level + shift}'
-    return Claim(f'does not acknowledge writes (Status Return Level {says}): '
-                 'a master that waits for it loses a time-out '
-                 f'each time; use Sync Write or level {2 + shift}'
+    waits_ms = _vain_wait_ms(case, device) if unanswered else 0.0
+    harm = f'the program waits for that in vain, {waits_ms:.0f} ms of each cycle' if waits_ms \
+        else 'a master that waits for it loses a time-out each time'
+    return Claim(f'does not acknowledge writes (Status Return Level {says}): {harm}; use Sync '
+                 f'Write or level {2 + shift}'
                  f"{'; if it has that, check its plugs' * has_ended}",
-                 level=Level.WARN if has_ended else None, is_certain=has_ended,
+                 level=Level.WARN if has_ended or waits_ms else None, is_certain=has_ended,
                  rests_on=() if has_ended or unanswered else (ANSWER,))
+
+
+def _vain_wait_ms(case: Case, device: DeviceReport) -> float:
+    """Return how much of each cycle is waiting for a device, 0 if that is no harm or unknown."""
+    times = case.report.cycle
+    if times is None or times.is_blurred:
+        return 0.0
+    waited = dict(times.waiting).get(device.id, 0.0)
+    return waited if waited >= ACKS_WAIT_MIN_SHARE * times.cycle else 0.0
 
 
 @Rule(level=Level.OK,
