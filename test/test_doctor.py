@@ -103,9 +103,11 @@ def test_a_cause_hides_its_consequence(monkeypatch, cause, consequence, hidden):
 @pytest.mark.parametrize(('cause', 'level', 'hidden'), [
     (Claim('a'), Level.WARN, True),
     (Claim('a'), Level.OK, False),
-    (Claim('a', device=5), Level.WARN, False),
+    (Claim('a', device=5), Level.WARN, True),
+    (Claim('a', device=6), Level.WARN, False),
+    (Claim('a', device=6, covers=(5,)), Level.WARN, True),
 ])
-def test_what_the_bus_has_leaves_no_doubt_of_its_devices(monkeypatch, cause, level, hidden):
+def test_what_is_found_leaves_no_doubt_of_what_follows_from_it(monkeypatch, cause, level, hidden):
     doctor = with_rules(monkeypatch, rule('effect', saying(Doubt('b', 5))),
                         rule('cause', saying(cause), 'effect', level=level))
     doubts = doctor.examine(plain_report(S)).doubts

@@ -96,6 +96,12 @@ def test_goals_of_a_mode_that_was_refused_need_no_wider_limits(errors, registers
                                   if is_mode else 'set wider ones (as Max Position Limit)')
 
 
+@pytest.mark.parametrize(('errors', 'found'), [({}, 1), ({(3, 11, 7): 1}, 0)])
+def test_a_wheel_whose_mode_was_refused_is_in_another_one(errors, found):
+    one = device(errors=errors, registers={'Present Velocity': 0}, written={'Goal Velocity': 99})
+    assert len(claims('wheel_stopped', devices=[one])) == found
+
+
 @pytest.mark.parametrize(('mode_s', 'is_told'), [(0.6, True), (0.5, False)])
 def test_a_mode_that_was_written_after_the_goals_is_not_theirs(mode_s, is_told):
     one = device(registers={'Present Position': 5},

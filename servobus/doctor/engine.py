@@ -88,12 +88,11 @@ class Doctor:
                 else kept_claim(case, one)) is not None}
         findings = self._report_claims(case)
         named = {(finding.rule, finding.device) for finding in findings}
-        causes = [rules.BY_NAME[finding.rule] for finding in findings
-                  if finding.device is None and finding.level is not Level.OK]
+        causes = [finding for finding in findings if finding.level is not Level.OK]
         self._doubts = tuple([
             one for one in doubts if (one.rule, one.device) not in named
-            and not any(rules.BY_NAME[one.rule].symptoms <= cause.accounts_for
-                        for cause in causes)])
+            and not any(rules.accounts_for(cause, one) for cause in causes
+                        if cause.device is None or one.device is not None)])
         return _report_with(case, findings, self._doubts)
 
     def _report_claims_at_rest(self, case: Case) -> tuple[Finding, ...]:

@@ -115,14 +115,18 @@ def _value_refused(case: Case, device: DeviceReport) -> Found | None:
     if count < least_refusals(case, device, GOALS_BEYOND_MIN):
         return None
     field = device.model.by_address.get(address)
-    mode = device.model.by_name.get('Operating Mode')
-    is_mode_refused = mode is not None and 'Operating Mode' not in case.values[device.id] and any(
-        at == mode.at and error == ACCESS_ERROR for _, at, error in device.errors)
     remedy = 'they may be those of another Operating Mode, of which the write was refused' \
-        if is_mode_refused else \
+        if _is_mode_refused(case, device) else \
         'keep goals within these, or set wider ones (as Max Position Limit)'
     return Claim(f'value for {field.name if field else f"address {address}"} refused, beyond its '
                  f'limits: {remedy}', {'refused': count})
+
+
+def _is_mode_refused(case: Case, device: DeviceReport) -> bool:
+    """Tell whether a write of Operating Mode was refused, as the torque was on."""
+    mode = device.model.by_name.get('Operating Mode')
+    return mode is not None and 'Operating Mode' not in case.values[device.id] and any(
+        at == mode.at and error == ACCESS_ERROR for _, at, error in device.errors)
 
 
 def _rate_beyond(name: str, values: dict[str, Observed]) -> Found | None:
@@ -302,6 +306,10 @@ def torque_off(case: Case, device: DeviceReport) -> Found | None:
     if force:
         return Claim(f'goals are sent to it, but its {force} is 0, so it has no force: write '
                      'more to that', rests_on=(_PLACE, force))
+    if device.model.protocol == '1' and device.window.alerts:
+        return Claim('goals change, and it has not moved since the error in its answers: after an '
+                     'overload its Torque Limit is 0; free the joint, then write Max Torque to '
+                     'Torque Limit (34), or switch its power off and on', rests_on=_MOTION)
     may_hold = device.id in case.turned and not absences(case, device)
     if (torque is None or torque.source == 'w') \
             and is_watched(case, device, place) and _is_ignored(
@@ -462,8 +470,8 @@ def wheel_stopped(case: Case, device: DeviceReport) -> Found | None:
     goal, now = values['Goal Velocity'], values['Present Velocity']
     if device.alert or goal.source != 'w' or now.source != 'r' or now.age_s > STOPPED_MIN_S \
             or speed_of(goal) < SPEED_MIN or speed_of(now) > SPEED_AT_REST \
-            or not _is_in_velocity_control(device, values):
-        return None
+            or not _is_in_velocity_control(device, values) or _is_mode_refused(case, device):
+        return None                            # its mode is another one: eeprom_locked
     if device.id in case.turned:
         return Doubt(f'velocity {goal.value.raw} is asked for, and it does not turn any more: '
                      'blocked, or it holds something')

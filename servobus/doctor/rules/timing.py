@@ -226,8 +226,9 @@ def impatient_master(case: Case) -> Claims:
     late, wait_us = _answers_after_it_went_on(case)
     if late:
         yield Claim(f'the program goes on {wait_us / 1000:.0f} ms after it asked, and answers '
-                    f'come later, {late} times in 10 s: let it wait {LONG_WAIT_MS} ms for an '
-                    'answer, and clear its input before it asks',
+                    f'come later, {late} times in 10 s (an adapter may hold them back for 16 ms: '
+                    f'its latency timer): let it wait {LONG_WAIT_MS} ms for an answer, and clear '
+                    'its input before it asks',
                     {'answers after it went on': late})
 
 

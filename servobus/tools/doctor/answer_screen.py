@@ -93,11 +93,11 @@ def _heard(verdict: Verdict, width: int, is_joined: bool = False) -> list[str]:
 
 def _found(verdict: Verdict, form: _Format) -> list[str]:
     """Return the lines of what is wrong or may be; advice comes last."""
-    well = [form.paint('Nothing wrong that listening can find', GREEN)]
-    not_sure, wrong = _not_sure(verdict.not_sure, form), _wrong(verdict.wrong, form)
-    if wrong and verdict.wrong[0].level is not Level.OK:
-        return [*wrong, *not_sure]
-    return [*(not_sure or well), *wrong]
+    wrong = [one for one in verdict.wrong if one.level is not Level.OK]
+    advice = [one for one in verdict.wrong if one.level is Level.OK]
+    lines = [*_entries('Wrong:', wrong, 1, form), *_not_sure(verdict.not_sure, form)]
+    return [*(lines or [form.paint('Nothing wrong that listening can find', GREEN)]),
+            *_entries('Advice:', advice, len(wrong) + 1, form)]
 
 
 def _not_sure(points: Sequence[OpenPoint], form: _Format) -> list[str]:
@@ -110,17 +110,18 @@ def _not_sure(points: Sequence[OpenPoint], form: _Format) -> list[str]:
     return lines + _more(len(points) - len(shown))
 
 
-def _wrong(entries: Sequence[Trouble], form: _Format) -> list[str]:
+def _entries(heading: str, entries: Sequence[Trouble], first: int, form: _Format) -> list[str]:
+    """Return the lines of findings under their heading; first: the number of the first one."""
     if not entries:
         return []
-    lines = ['Advice:' if entries[0].level is Level.OK else 'Wrong:']
-    in_full = entries[:form.findings]
-    for number, entry in enumerate(in_full, 1):
+    lines = [heading]
+    in_full = entries[:form.findings and max(0, form.findings + 1 - first)]
+    for number, entry in enumerate(in_full, first):
         lines += _in_full(number, entry, form)
     rest = entries[len(in_full):]
     shown = rest if len(rest) <= FULL_FINDINGS_MAX else rest[:FULL_FINDINGS_MAX - 1]
     lines += [fit(f'  {_title(number, entry)}: {entry.message}', form.width)
-              for number, entry in enumerate(shown, len(in_full) + 1)]
+              for number, entry in enumerate(shown, first + len(in_full))]
     return lines + _more(len(rest) - len(shown))
 
 
