@@ -13,17 +13,17 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from msg_defs.diagnostics import Level
+from msg_defs.units import NS_PER_S
 from servobus.bus.report import BusReport
 from servobus.bus.report import CONNECTED
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import DISCONNECTED
 from servobus.doctor import first_ids
 
-S = 1_000_000_000
-TOGETHER_NS = S                # without another device: all have come to which it happens
-WAIT_NS = 5 * S                # at most, for more devices
+TOGETHER_NS = NS_PER_S         # without another device: all have come to which it happens
+WAIT_NS = 5 * NS_PER_S         # at most, for more devices
 LINES_AT_ONCE = 4
-LINE_AGAIN_NS = 10 * S
+LINE_AGAIN_NS = 10 * NS_PER_S
 _RECENT_S = 10.0               # an older value says nothing of now
 
 

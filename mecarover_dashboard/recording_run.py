@@ -16,10 +16,10 @@ import time
 from typing import Any
 
 from mecarover_dashboard.feed import Feed
-from mecarover_dashboard.source_run import S
 from mecarover_dashboard.source_run import SourceRun
 from mecarover_dashboard.source_run import TURN_S
 from msg_defs.diagnostics import Level
+from msg_defs.units import NS_PER_S
 from servobus.examination import Examination
 from servobus.examination import LONGEST_PAUSE_NS
 from servobus.examination import REPORT_NS
@@ -86,8 +86,8 @@ class RecordingRun(SourceRun):
 
     def state(self) -> dict[str, Any]:
         """Return where it is, for the page."""
-        return {'at': round((self._now - self._first) / S, 1), 'length': round(self.length_s, 1),
-                'on': self._is_on, 'events': len(self.events)}
+        return {'at': round((self._now - self._first) / NS_PER_S, 1),
+                'length': round(self.length_s, 1), 'on': self._is_on, 'events': len(self.events)}
 
     def _begin(self) -> None:
         """Go to the first byte."""
@@ -102,10 +102,11 @@ class RecordingRun(SourceRun):
             now_s = time.monotonic()
             wanted_s, self._wanted_s = self._wanted_s, None
             if wanted_s is not None:
-                self._go(self._first + int(wanted_s * S))
+                self._go(self._first + int(wanted_s * NS_PER_S))
                 now_s = time.monotonic()            # that took some time
             elif self._is_on:
-                self._forward(END if self._at_once else self._now + int((now_s - last_s) * S))
+                self._forward(END if self._at_once
+                              else self._now + int((now_s - last_s) * NS_PER_S))
             last_s = now_s
             yield self._now
             time.sleep(TURN_S)

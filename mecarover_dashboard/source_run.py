@@ -17,6 +17,7 @@ import time
 
 from mecarover_dashboard.feed import Feed
 from msg_defs.event import Chunk
+from msg_defs.units import NS_PER_S
 from servobus.bus.report import BusReport
 from servobus.doctor import OPTIONS
 from servobus.model.models import Models
@@ -38,7 +39,6 @@ from servobus.tools.doctor.verdict import Verdict
 from servobus.tools.run import models_of
 
 TURN_S = 0.1
-S = 1_000_000_000
 
 
 class HeardBus:
@@ -159,7 +159,7 @@ class ProgramRun(SourceRun):
     def _stamps(self) -> Iterator[int]:
         for chunk in self._program.chunks():
             if chunk is None:
-                self._known = max(self._known, time.monotonic_ns() - int(HOLD_S * S))
+                self._known = max(self._known, time.monotonic_ns() - int(HOLD_S * NS_PER_S))
             else:
                 self._known = max(self._known, chunk.stamp)
                 self._feed_bus(chunk, self._program.wire(chunk.bus))

@@ -28,8 +28,8 @@ from mecarover_fakes.traffic import none
 from mecarover_fakes.virtual_uart import VirtualUart
 from mecarover_fakes.virtual_usb import VirtualUsb
 from msg_defs.frame import is_good
+from msg_defs.units import NS_PER_S
 
-S = 1_000_000_000
 TICK_NS = 200_000                # shortest time between two writes, longest is
 PART_NS = 1_000_000              # for a part of a long packet
 IDLE_NS = 50_000_000
@@ -75,7 +75,7 @@ class FakeBus:
 
     def start(self, seconds: float | None = None) -> None:
         """Run in a thread until stop(), or for some seconds."""
-        until = None if seconds is None else round(seconds * S)
+        until = None if seconds is None else round(seconds * NS_PER_S)
         self._playing = self._thread.submit(self._run, until)
 
     def wait(self) -> None:
@@ -96,14 +96,14 @@ class FakeBus:
     def totals(self) -> dict[str, Any]:
         """Return the counters of both ends."""
         return {name: end.totals() for name, end in self._ends.items()} \
-            | {'stood_still_s': round(self.stood_still_ns / S, 3)}
+            | {'stood_still_s': round(self.stood_still_ns / NS_PER_S, 3)}
 
     def _run(self, until: int | None) -> None:
         self._origin = self._clock()
         self._play(self.master.bursts(until) if self._has_own_master else self._asked(until))
         deadline = self._clock() + DRAIN_NS      # hanging up takes unread bytes away
         while any(end.outstanding() for end in self._ends.values()) and self._clock() < deadline:
-            time.sleep(TICK_NS / S)
+            time.sleep(TICK_NS / NS_PER_S)
 
     def _asked(self, until: int | None) -> Iterator[Burst]:
         """Yield what the instructions of a real master lead to, as soon as each is whole."""
@@ -119,14 +119,14 @@ class FakeBus:
 
     def _sleep(self, wait_ns: int) -> None:
         """Wait so long, or until a real master writes; what is written to our own is dropped."""
-        whole_ms, rest_ns = divmod(wait_ns, S // 1000)
+        whole_ms, rest_ns = divmod(wait_ns, NS_PER_S // 1000)
         if not self.outlet.wait(whole_ms / 1000):
-            time.sleep(rest_ns / S)
+            time.sleep(rest_ns / NS_PER_S)
         if self._has_own_master:
             self.outlet.read()
         if self._away is not None:
             for one in self._ends.values():
-                one.plug(plugged_in=not self._away.covers(self._now() / S))
+                one.plug(plugged_in=not self._away.covers(self._now() / NS_PER_S))
 
     def _play(self, bursts: Iterator[Burst]) -> None:
         baud = self.master.line.baud
@@ -135,7 +135,7 @@ class FakeBus:
             done = 0
             while done < len(burst.data):
                 now = self._catch_up(burst.start + wire_ns(done, baud))
-                passed = (now - burst.start) * baud // (BITS_PER_BYTE * S)
+                passed = (now - burst.start) * baud // (BITS_PER_BYTE * NS_PER_S)
                 end = len(burst.data) if self._is_stopping else min(passed, len(burst.data))
                 if end > done:
                     due += burst.data[done:end]

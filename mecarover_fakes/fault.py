@@ -24,8 +24,6 @@ from mecarover_fakes.traffic import Ask
 from mecarover_fakes.traffic import Asks
 from mecarover_fakes.traffic import Fleet
 
-S = 1_000_000_000
-MS = 1_000_000
 ALL = ('2', '1', 'feetech')
 ONLY_2 = ('2',)
 FAMILY_1 = ('1', 'feetech')

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from mecarover_fakes.fake_servo import FakeDevice
 from mecarover_fakes.fault import Effect
-from mecarover_fakes.fault import MS
 from mecarover_fakes.fault import ONLY_2
 from mecarover_fakes.fault import Play
 from mecarover_fakes.traffic import Ask
@@ -19,9 +18,10 @@ from mecarover_fakes.values import Sine
 from mecarover_fakes.values import TEMPERATURE
 from mecarover_fakes.values import VOLTAGE
 from msg_defs.dxl_instruction import Instruction
+from msg_defs.units import NS_PER_MS
 
-DIP_NS = 600 * MS                # low voltage before a brown-out
-BOOT_NS = 400 * MS
+DIP_NS = 600 * NS_PER_MS         # low voltage before a brown-out
+BOOT_NS = 400 * NS_PER_MS
 OVERLOAD = 0x20
 FACTORY_DELAY = 250
 WATCHDOG = 5                     # units of 20 ms
@@ -204,7 +204,7 @@ class Watchdog(Effect):
         if not self.is_armed:
             self.is_armed = True
             yield from write_register(self.device, 'Bus Watchdog', bytes([WATCHDOG]))
-            self.timing.pause = 3 * WATCHDOG * 20 * MS
+            self.timing.pause = 3 * WATCHDOG * 20 * NS_PER_MS
         yield write(self.device.id, goal.at, self.device.bytes_in(goal))
         if self.cycle % 20 == 0:
             yield from read_register(self.device, 'Bus Watchdog')
@@ -214,7 +214,7 @@ class Late(Effect):
     """The device answers when the master has given up."""
 
     def play(self) -> Play:
-        self.device.extra_delay_ns = self.timing.patience + 2 * MS
+        self.device.extra_delay_ns = self.timing.patience + 2 * NS_PER_MS
         yield
         self.device.extra_delay_ns = 0
 

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from mecarover_fakes.fault import Effect
-from mecarover_fakes.fault import MS
 from mecarover_fakes.fault import ONLY_2
 from mecarover_fakes.fault import Play
 from mecarover_fakes.line import Exchange
@@ -17,9 +16,10 @@ from mecarover_fakes.traffic import words
 from mecarover_fakes.traffic import write
 from mecarover_fakes.traffic import write_register
 from msg_defs.dxl_instruction import Instruction
+from msg_defs.units import NS_PER_MS
 
-LATENCY_NS = 16 * MS             # an FTDI adapter as delivered
-RIVAL_PERIOD_NS = 37 * MS
+LATENCY_NS = 16 * NS_PER_MS      # an FTDI adapter as delivered
+RIVAL_PERIOD_NS = 37 * NS_PER_MS
 # Torque Enable of another series: PRO (an X device has nothing there); X (an AX has nothing).
 FOREIGN_TORQUE = {'2': 562, '1': 64}
 HEADER_LIKE = b'\xff\xff\xfd\x00'

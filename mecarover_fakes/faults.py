@@ -20,7 +20,7 @@ from mecarover_fakes.fault import Effect
 from mecarover_fakes.fault import Fault
 from mecarover_fakes.fault import FaultScope
 from mecarover_fakes.fault import Play
-from mecarover_fakes.fault import S
+from msg_defs.units import NS_PER_S
 from servobus.errors import did_you_mean
 from servobus.errors import ParameterError
 
@@ -41,9 +41,9 @@ def parse(text: str) -> Fault:
         raise ParameterError(f'fault: {text!r} does not have the form NAME[:id[:at_s[:for_s]]]; '
                              "write e.g. 'silent:5:2:3'")
     number, begin, length = found.groups()
-    start = round(float(begin or 0) * S)
+    start = round(float(begin or 0) * NS_PER_S)
     return Fault(name, int(number) if number else None, start,
-                 start + round(float(length) * S) if length else None)
+                 start + round(float(length) * NS_PER_S) if length else None)
 
 
 class Faults:

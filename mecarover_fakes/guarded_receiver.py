@@ -12,6 +12,7 @@ from msg_defs.mcu_report import McuReport
 from msg_defs.mcu_report import RUNNING
 from msg_defs.mcu_report import STOPPED
 from msg_defs.mcu_report import WAITING
+from msg_defs.units import NS_PER_MS
 from msg_defs.vel2d import decode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
@@ -19,7 +20,6 @@ from msg_defs.vel2d import Vel2d
 
 WATCHDOG_MS = 300
 LARGEST = 1e6
-_MS = 1_000_000
 _REPORT = 1_000_000_000
 
 
@@ -72,7 +72,7 @@ class GuardedReceiver(Receiver):
         self.state = RUNNING
 
     def _next(self, now: int) -> Vel2d | None:
-        if self.state == RUNNING and now // _MS - self._good_at // _MS >= WATCHDOG_MS:
+        if self.state == RUNNING and now // NS_PER_MS - self._good_at // NS_PER_MS >= WATCHDOG_MS:
             self.state = STOPPED
             self.totals.stops += 1
         return STOP if self.state == STOPPED else super()._next(now)

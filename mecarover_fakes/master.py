@@ -16,7 +16,6 @@ from random import Random
 from mecarover_fakes.fault import Fault
 from mecarover_fakes.fault import FaultScope
 from mecarover_fakes.fault import MasterTiming
-from mecarover_fakes.fault import S
 from mecarover_fakes.faults import Faults
 from mecarover_fakes.ground_truth import GroundTruth
 from mecarover_fakes.line import Burst
@@ -30,6 +29,7 @@ from mecarover_fakes.traffic import Fleet
 from mecarover_fakes.traffic import Pattern
 from mecarover_fakes.traffic import start_up
 from msg_defs.dxl_instruction import Answers
+from msg_defs.units import NS_PER_S
 
 PATIENCE_NS = 34_000_000         # SDK: two latency timers of 16 ms, and 2 ms
 GAP_NS = 100_000
@@ -54,7 +54,7 @@ class Master:
         self.pattern = pattern
         self._started = started
         self._fleet = Fleet(line, lambda: self.now)
-        self._timing = MasterTiming(round(S / rate) if rate else 0, gap, patience)
+        self._timing = MasterTiming(round(NS_PER_S / rate) if rate else 0, gap, patience)
         self._rng = Random(seed)
         self.faults = Faults(list(faults), FaultScope(line, self._fleet, self._timing, self._rng))
         self._backlog: list[Exchange] = []

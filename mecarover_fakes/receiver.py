@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 from msg_defs.crc import Checksum
 from msg_defs.crc import crc32_mpeg2
+from msg_defs.units import NS_PER_S
 from msg_defs.vel2d import decode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import Vel2d
@@ -24,7 +25,6 @@ from msg_defs.vel2d import Vel2d
 LOOP = 30_000_000                  # the pose loop takes one set-point in this time
 QUEUE_DEPTH = 10
 _CHARACTER_BITS = 10
-_SECOND = 1_000_000_000
 _KEPT_ARRIVALS = 20_000
 
 
@@ -74,7 +74,7 @@ class Receiver:
         self.totals = Totals()
         self.wheels = SetPoint(start, 0.0, 0.0, 0.0)
         self.arrivals: deque[Arrival] = deque(maxlen=_KEPT_ARRIVALS)
-        self.character = -(-_CHARACTER_BITS * _SECOND // baud)
+        self.character = -(-_CHARACTER_BITS * NS_PER_S // baud)
         self.line_free = start     # when the last byte has ended
         self._crc = crc
         self._buffer = b''

@@ -15,6 +15,7 @@ from typing import Protocol
 
 from msg_defs.diagnostics import Level
 from msg_defs.event import Chunk
+from msg_defs.units import NS_PER_S
 from servobus.bus.decoder import DEFAULTS
 from servobus.bus.report import BusReport
 from servobus.bus.report import Finding
@@ -28,12 +29,11 @@ from servobus.settings import settings_of
 from servobus.sources.capture import Wire
 from servobus.sources.source import Source
 
-S = 1_000_000_000
-REPORT_NS = S // 2
+REPORT_NS = NS_PER_S // 2
 SETTLED_S = 2.0                    # the first guess after a few packets is often another one
-ARRIVAL_NS = S // 5                # a chunk may be handed over so long after its stamp
+ARRIVAL_NS = NS_PER_S // 5         # a chunk may be handed over so long after its stamp
 ENOUGH_TRAFFIC_S, GIVE_UP_SILENCE_S = 10.0, 5.0   # for a live source without --seconds
-LONGEST_PAUSE_NS = 12 * S          # a file is silent for longer: passed over, all is forgotten
+LONGEST_PAUSE_NS = 12 * NS_PER_S   # a file is silent for longer: passed over, all is forgotten
 
 
 class Watcher(Protocol):
@@ -109,7 +109,7 @@ class Examination:
     @property
     def seconds(self) -> float:
         """How long there was traffic, from the first byte to the last (s)."""
-        return (self.last - self.first) / S
+        return (self.last - self.first) / NS_PER_S
 
     def finish(self, now: int, is_over: bool, failed: str = '',
                users: Mapping[str, Sequence[str]] | None = None) -> None:

@@ -19,6 +19,7 @@ from harness import later
 import pytest
 
 from mecarover_fakes.receiver import Receiver
+from msg_defs.units import NS_PER_S
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
@@ -27,10 +28,9 @@ from vel2d_bridge import watch
 from vel2d_bridge.gate import characters_ns
 from vel2d_bridge.gate import Gate
 from vel2d_bridge.gate import GateSettings
-from vel2d_bridge.gate import MILLISECOND as MS
 from vel2d_bridge.gate import NEVER
+from vel2d_bridge.gate import NS_PER_MS as MS
 from vel2d_bridge.gate import Outcome
-from vel2d_bridge.gate import SECOND
 from vel2d_bridge.gate import Stop
 from vel2d_bridge.pacer import Pacer
 
@@ -125,7 +125,7 @@ class World:
         self.now = 0
         self.accepted = None                         # the last accepted command
         self.back_at = self.reopen_at = NEVER        # the cable; the bridge's port
-        self.back = -SECOND                          # when the cable came back last
+        self.back = -NS_PER_S                        # when the cable came back last
         self.is_lost = False                         # the port must be opened again
         self.is_owed = False                         # and the rover may have been driving
         self.calm_at = NEVER                         # the settings become what they were
@@ -145,7 +145,7 @@ class World:
         self.command_at = next(self.plan)
 
     def bound_of(self, settings):
-        return round(SECOND * (settings.cmd_vel_timeout + 2 / settings.resend_rate
+        return round(NS_PER_S * (settings.cmd_vel_timeout + 2 / settings.resend_rate
                                + self.write_timeout_s)) + QUEUE
 
     @property
@@ -227,7 +227,7 @@ class World:
         if self.now < self.frozen_until:
             self.waiting = velocity
         elif self.pacer is not None:
-            self.offer_command(velocity, self.chance.choice([0, 0, 0, 0, 0, 2 * SECOND]))
+            self.offer_command(velocity, self.chance.choice([0, 0, 0, 0, 0, 2 * NS_PER_S]))
 
     def offer_command(self, velocity, waited=0):
         acted, self.acted = self.acted, False
@@ -244,12 +244,12 @@ class World:
     def zero(self):
         """Be the dead man: one zero after its gap, on a line that it does not share just now."""
         if self.back_at != NEVER:                    # it looks for the port
-            self.zero_at = self.now + round(watch.STOP_PERIOD_S * SECOND)
+            self.zero_at = self.now + round(watch.STOP_PERIOD_S * NS_PER_S)
             return
         if not self.uart.pending():
             self.acted = True
             self.uart.write(encode(STOP))
-        period = round(watch.STOP_PERIOD_S * SECOND) + watch.GAP_CHARACTERS * (
+        period = round(watch.STOP_PERIOD_S * NS_PER_S) + watch.GAP_CHARACTERS * (
             self.mcu.character)
         self.zeros_left -= 1
         is_over = self.pacer is None and self.zeros_left <= 0
@@ -310,7 +310,7 @@ class World:
         if not self.is_off_duty:
             self.zero_at = self.now + watch.GAP_CHARACTERS * self.mcu.character
         self.zeros_left = watch.STOP_FRAMES
-        self.restart_at = self.now + SECOND
+        self.restart_at = self.now + NS_PER_S
 
     @property
     def is_off_duty(self):
@@ -357,7 +357,7 @@ class World:
         """Stall the line, for no longer than a write may take."""
         self.uart.refuses = self.chance.random() < 0.5
         self.uart.stalled_until = self.now + round(
-            self.chance.random() * self.write_timeout_s * SECOND)
+            self.chance.random() * self.write_timeout_s * NS_PER_S)
 
     def cut(self):
         self.uart.cut = self.chance.randrange(1, FRAME_SIZE)
@@ -382,7 +382,7 @@ ACCIDENTS = ('freeze', 'kill', 'stall', 'stall', 'cut', 'disable', 'switch', 'su
              'lose', 'prolong')
 
 
-def history(seed, duration=4 * SECOND):
+def history(seed, duration=4 * NS_PER_S):
     """Run one history and return its world; accidents are at least 700 ms apart."""
     world = World(seed)
     accidents = []
@@ -426,11 +426,11 @@ def drive(seed=1, period=33 * MS, **changes):
     world.write_timeout_s, world.baud = 0.05, 115200
     world.mcu = Receiver()
     world.uart = Uart(world.mcu, world.chance, 0.0)
-    world.plan = iter(range(SECOND, 1000 * SECOND, period))
+    world.plan = iter(range(NS_PER_S, 1000 * NS_PER_S, period))
     world.command_at = next(world.plan)
     world.chance.choice = lambda options: options[0]
-    world.bound = SECOND
-    world.run(2 * SECOND, [])
+    world.bound = NS_PER_S
+    world.run(2 * NS_PER_S, [])
     assert world.moving
     return world
 
@@ -472,7 +472,7 @@ def test_with_more_frames_than_the_mcu_takes_it_is_400_ms(accident, rate):
 def test_suspended_it_stops_first_whatever_comes_meanwhile():
     """Without a deadman too: no command may cut the burst short."""
     world = drive(max_rate=400.0)
-    world.plan = iter(range(world.now, 1000 * SECOND, 3 * MS))
+    world.plan = iter(range(world.now, 1000 * NS_PER_S, 3 * MS))
     world.chance.randrange = lambda end: 1400 * MS if end == 1500 * MS else 0
     since = world.now
     world.suspend()

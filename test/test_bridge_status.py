@@ -15,6 +15,7 @@ from msg_defs.crc import crc32_mpeg2
 from msg_defs.crc import crc32_mpeg2_words
 from msg_defs.diagnostics import Level
 from msg_defs.timing import Series
+from msg_defs.units import NS_PER_S
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
@@ -29,7 +30,6 @@ from vel2d_bridge.bridge_status import link_status
 from vel2d_bridge.bridge_status import refusal
 from vel2d_bridge.gate import Counters
 from vel2d_bridge.gate import Outcome
-from vel2d_bridge.gate import SECOND
 from vel2d_bridge.graph import Choice
 from vel2d_bridge.link import LinkState
 from vel2d_bridge.mcu_log import McuLog
@@ -50,7 +50,7 @@ def changed(changes):
         PORT, Reason('absent', *problem))})
 
 
-def link(state=OPEN, warnings=(), mcu=None, now=5 * SECOND):
+def link(state=OPEN, warnings=(), mcu=None, now=5 * NS_PER_S):
     return link_status('vel2d_bridge', PORT, state, warnings, mcu or McuLog(), now)
 
 
@@ -61,8 +61,8 @@ def commands(state=OPEN, heard=HEARD, counters=None):
 def periods(*seconds):
     series = Series()
     for period in seconds:
-        series.add(1000 * period, 5 * SECOND)
-    return series.summary(5 * SECOND)
+        series.add(1000 * period, 5 * NS_PER_S)
+    return series.summary(5 * NS_PER_S)
 
 
 @pytest.mark.parametrize(('changes', 'warnings', 'level', 'message'), ROWS['link'])
@@ -106,10 +106,10 @@ def test_every_refusal_has_a_remedy(verdict):
 def test_lines_of_the_mcu():
     mcu = McuLog()
     mcu.feed(b'pose \x1b[1;31mloop\x1b[0m\r\n\r\nbat')
-    assert mcu.take_lines(SECOND) == ['pose loop']
+    assert mcu.take_lines(NS_PER_S) == ['pose loop']
     mcu.feed(b'tery\t12 V\n')
-    assert mcu.take_lines(SECOND + 1) == []                               # throttled
-    assert mcu.take_lines(2 * SECOND) == ['battery 12 V']
+    assert mcu.take_lines(NS_PER_S + 1) == []                             # throttled
+    assert mcu.take_lines(2 * NS_PER_S) == ['battery 12 V']
     assert (mcu.lines, mcu.bytes, mcu.garbage_bytes) == (2, 37, 0)
 
 
@@ -117,55 +117,55 @@ def test_a_babbling_mcu():
     mcu = McuLog()
     for _ in range(100):
         mcu.feed(b'the same again\n' * 10)
-    lines = mcu.take_lines(SECOND)
+    lines = mcu.take_lines(NS_PER_S)
     assert lines[-1] == f'... and {1000 - len(lines) + 1} more lines'
     assert len(lines) < 10
-    assert mcu.take_lines(2 * SECOND) == []
+    assert mcu.take_lines(2 * NS_PER_S) == []
     mcu.feed(b'x' * 100_000)                                        # no end of line at all
-    assert all(len(line) <= 200 for line in mcu.take_lines(3 * SECOND))
+    assert all(len(line) <= 200 for line in mcu.take_lines(3 * NS_PER_S))
 
 
 def test_garbage_is_counted_and_not_printed():
     mcu = McuLog()
     mcu.feed(bytes(range(128, 256)) + b'\n' + b'\x00\x07bell\n' + b'good\n')
-    assert mcu.take_lines(SECOND) == ['good']
+    assert mcu.take_lines(NS_PER_S) == ['good']
     assert mcu.garbage_bytes == 134
-    assert '134 bytes that are not text; check baud' in mcu.garbage(SECOND)
-    assert mcu.garbage(2 * SECOND) == ''                            # nothing new
+    assert '134 bytes that are not text; check baud' in mcu.garbage(NS_PER_S)
+    assert mcu.garbage(2 * NS_PER_S) == ''                          # nothing new
     mcu.feed(b'\xff\n')
-    assert mcu.garbage(3 * SECOND) == ''                            # said just now
-    assert '1 bytes' in mcu.garbage(12 * SECOND)
+    assert mcu.garbage(3 * NS_PER_S) == ''                          # said just now
+    assert '1 bytes' in mcu.garbage(12 * NS_PER_S)
 
 
 def test_what_the_mcu_refuses_is_counted_and_a_complaint():
     """As the firmware of the thesis says it, between other lines; for 10 s after the last one."""
     mcu = McuLog()
     mcu.feed(b'crc mismatch!\r\nboot\r\nCRC Mismatch!\r\ninsufficient bytes received\r\n')
-    assert mcu.take_lines(SECOND) == ['boot']
-    crc, short = mcu.complaints(SECOND, 'words')
+    assert mcu.take_lines(NS_PER_S) == ['boot']
+    crc, short = mcu.complaints(NS_PER_S, 'words')
     assert 'crc_input' not in crc       # it refuses stops too
     assert 'no console' in short
     values = dict(link(mcu=mcu).values)
     assert values['Refused by MCU: crc mismatch'] == '2'
     assert values['Refused by MCU: insufficient bytes'] == '1'
     mcu.feed(b'crc mismatch!\n')
-    assert mcu.complaints(9 * SECOND, 'words') == [crc, short]
-    assert mcu.complaints(12 * SECOND, 'words') == [crc]
-    assert mcu.complaints(19 * SECOND, 'words') == []
+    assert mcu.complaints(9 * NS_PER_S, 'words') == [crc, short]
+    assert mcu.complaints(12 * NS_PER_S, 'words') == [crc]
+    assert mcu.complaints(19 * NS_PER_S, 'words') == []
     mcu.reset()
     assert (mcu.lines, set(mcu.refused.values())) == (0, {0})
-    assert mcu.complaints(20 * SECOND, 'words') == []
+    assert mcu.complaints(20 * NS_PER_S, 'words') == []
     assert link(warnings=[crc], mcu=mcu).level is Level.WARN
 
 
 def send(mcu, velocity, frames, at):
     """Send frames to an MCU, 50 ms apart from `at`; return when the last was sent."""
     for _ in range(frames):
-        at += SECOND // 20
+        at += NS_PER_S // 20
         mcu.receiver.feed(encode(velocity), at)
-        mcu.receiver.advance(at + SECOND // 40)
+        mcu.receiver.advance(at + NS_PER_S // 40)
         mcu.log.drives += velocity != STOP
-        mcu.log.feed(mcu.receiver.text_to_host(at + SECOND // 40).encode(), at)
+        mcu.log.feed(mcu.receiver.text_to_host(at + NS_PER_S // 40).encode(), at)
     return at
 
 
@@ -174,7 +174,7 @@ def send(mcu, velocity, frames, at):
 def test_an_mcu_that_accepts_stops_only(receiver, crc, is_refused):
     """With the wrong crc_input the stops pass, and no command to drive does."""
     mcu = SimpleNamespace(log=McuLog(), receiver=receiver(crc=crc))
-    at = send(mcu, STOP, 60, SECOND)
+    at = send(mcu, STOP, 60, NS_PER_S)
     assert mcu.receiver.totals.crc_err == 0
     assert mcu.log.complaints(at, 'words') == []
     at = send(mcu, Vel2d(0.5, -0.25, 1.0), 60, at)
@@ -198,14 +198,14 @@ def test_a_bad_cable_is_not_the_crc_input():
     for _ in range(100):
         mcu.drives += 3
         mcu.feed(b'crc mismatch!\r\n')
-    [line] = mcu.complaints(SECOND, 'words')
+    [line] = mcu.complaints(NS_PER_S, 'words')
     assert line.endswith('check cable and ground')
-    assert mcu.refused_drives(SECOND, 'words') == []
+    assert mcu.refused_drives(NS_PER_S, 'words') == []
 
 
-def answers(mcu, said, frames=40, every=1, period=SECOND // 20):
+def answers(mcu, said, frames=40, every=1, period=NS_PER_S // 20):
     """Send frames; the MCU says `said` after each `every`th. Return its complaints."""
-    at = SECOND
+    at = NS_PER_S
     for frame in range(frames):
         at += period
         mcu.frames += 1
@@ -224,7 +224,7 @@ def test_an_mcu_that_reads_commands_in_text(said):
     assert answers(mcu, said, 9) == []
     [line] = answers(mcu, said)
     assert re.fullmatch('the MCU answers frames with "[ -~]{1,20}", .*docs/firmware.md.*', line)
-    assert mcu.complaints(20 * SECOND, 'words') == []       # it has the right firmware by now
+    assert mcu.complaints(20 * NS_PER_S, 'words') == []     # it has the right firmware by now
     mcu.reset()
     assert answers(mcu, said, 9) == []
 
@@ -245,7 +245,7 @@ def test_an_mcu_that_speaks_the_frame_and_says_so_much(said, every):
 
 
 def test_a_word_now_and_then_is_no_answer():
-    assert answers(McuLog(), b'unknown command\n', 40, period=10 * SECOND) == []
+    assert answers(McuLog(), b'unknown command\n', 40, period=10 * NS_PER_S) == []
 
 
 def test_what_the_mcu_reports():
@@ -253,23 +253,23 @@ def test_what_the_mcu_reports():
     mcu = McuLog()
 
     def hear(now_s, said):
-        mcu.feed(f'vel2d receiver {said}\r\n'.encode(), now_s * SECOND)
-        return [line.split(',')[0] for line in mcu.complaints(now_s * SECOND, 'words')]
+        mcu.feed(f'vel2d receiver {said}\r\n'.encode(), now_s * NS_PER_S)
+        return [line.split(',')[0] for line in mcu.complaints(now_s * NS_PER_S, 'words')]
 
     stopped = ['the watchdog of the MCU stopped the rover']
     assert mcu.report_values(0) == {}                               # silent, as most are
     assert hear(1, '1: running, 70 good, 3 bad, 1 refused, 2 stops') == []
-    assert dict(link(mcu=mcu, now=3 * SECOND).values).items() >= {
+    assert dict(link(mcu=mcu, now=3 * NS_PER_S).values).items() >= {
         'MCU version': '1', 'MCU state': 'running', 'MCU good frames': '70',
         'MCU bad frames': '3', 'MCU refused frames': '1', 'MCU watchdog stops': '2',
         'MCU report age (s)': '2.0'}.items()
     assert hear(2, '1: stopped, 70 good, 3 bad, 1 refused, 3 stops') == stopped
     assert hear(20, '1: stopped, 70 good, 3 bad, 1 refused, 3 stops') == stopped
     assert hear(29, '1: running, 70 good, 3 bad, 1 refused, 4 stops') == stopped
-    assert mcu.complaints(39 * SECOND, 'words') == []               # it says nothing any more
+    assert mcu.complaints(39 * NS_PER_S, 'words') == []             # it says nothing any more
     assert hear(40, '1: running, 70 good, 3 bad, 1 refused, 4 stops') == []
     assert hear(41, '1: waiting, 0 good, 0 bad, 0 refused, 0 stops') == []      # it restarted
-    assert mcu.take_lines(SECOND) == []
+    assert mcu.take_lines(NS_PER_S) == []
     assert hear(42, '2: running on') == ['the receiver of the MCU has version 2']
     assert len(mcu.report_values(0)) == 2                           # no figures
 
@@ -278,9 +278,9 @@ def test_what_the_mcu_reports():
 def test_what_is_no_report_is_logged_as_ever(text):
     mcu = McuLog()
     mcu.feed(f'vel2d receiver {text}\n'.encode())
-    assert mcu.take_lines(SECOND) == [f'vel2d receiver {text}']
-    assert not mcu.report_values(SECOND)
-    assert mcu.complaints(SECOND, 'words') == []
+    assert mcu.take_lines(NS_PER_S) == [f'vel2d receiver {text}']
+    assert not mcu.report_values(NS_PER_S)
+    assert mcu.complaints(NS_PER_S, 'words') == []
 
 
 @pytest.mark.parametrize(('name', 'value', 'begin'), ROWS['warnings'])

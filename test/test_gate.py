@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 import pytest
 
 from mecarover_fakes.receiver import Receiver
+from msg_defs.units import NS_PER_S
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
@@ -25,16 +26,15 @@ from vel2d_bridge.gate import FrameKind
 from vel2d_bridge.gate import Gate
 from vel2d_bridge.gate import GateSettings
 from vel2d_bridge.gate import limit
-from vel2d_bridge.gate import MILLISECOND as MS
 from vel2d_bridge.gate import NEVER
+from vel2d_bridge.gate import NS_PER_MS as MS
 from vel2d_bridge.gate import Outcome
-from vel2d_bridge.gate import SECOND
 from vel2d_bridge.gate import Stop
 from vel2d_bridge.wall_clock import WallClock
 
 DRIVE = Vel2d(0.5, -0.25, 1.0)
 OTHER = Vel2d(-0.5, 0.0, 0.0)
-START = 5 * SECOND
+START = 5 * NS_PER_S
 
 
 def play(gate, begin, end, offers=()):
@@ -59,8 +59,8 @@ def opened(**changes):
     """Return a gate after its opening burst, and the time."""
     gate = Gate(GateSettings(**changes))
     gate.opened(START)
-    play(gate, START, START + SECOND)
-    return gate, START + SECOND
+    play(gate, START, START + NS_PER_S)
+    return gate, START + NS_PER_S
 
 
 def stops_of(sent):
@@ -76,7 +76,7 @@ def assert_burst(stamps):
 def test_opening_begins_with_a_burst_and_goes_on_with_zeros():
     gate = Gate()
     gate.opened(START)
-    sent = play(gate, START, START + 2 * SECOND)
+    sent = play(gate, START, START + 2 * NS_PER_S)
     assert_burst(stops_of(sent))
     assert sent[0][0] - START < 3 * MS
     assert all(frame.velocity == STOP for _, frame in sent)
@@ -105,7 +105,7 @@ def test_command_goes_out_at_once_and_is_resent():
 
 def test_silence_stops_at_the_time_out_with_a_burst():
     gate, now = opened()
-    sent = play(gate, now, now + 2 * SECOND, [(now, DRIVE)])
+    sent = play(gate, now, now + 2 * NS_PER_S, [(now, DRIVE)])
     stops = stops_of(sent)
     assert_burst(stops)
     assert 500 * MS <= stops[0] - now <= 530 * MS
@@ -115,11 +115,11 @@ def test_silence_stops_at_the_time_out_with_a_burst():
 
 def test_without_resending_the_burst_is_still_sent():
     gate, now = opened(resend_rate=0.0)
-    sent = play(gate, now, now + 5 * SECOND, [(now, DRIVE)])
+    sent = play(gate, now, now + 5 * NS_PER_S, [(now, DRIVE)])
     assert [frame.kind for _, frame in sent] \
         == [FrameKind.COMMAND] + [FrameKind.STOP] * BURST_FRAMES
     assert_burst(stops_of(sent))
-    assert gate.next_deadline(now + 5 * SECOND) == NEVER
+    assert gate.next_deadline(now + 5 * NS_PER_S) == NEVER
 
 
 @pytest.mark.parametrize(('velocity', 'arguments', 'verdict'), [
@@ -155,13 +155,13 @@ def test_at_the_limit_is_accepted(arguments):
 
 def test_a_stamp_or_a_wait_is_no_matter_where_its_check_is_off():
     gate, now = opened(cmd_vel_timeout=0.0)
-    verdict = gate.offer_command(DRIVE, now, waited=3600 * SECOND, stamp_age=3600 * SECOND)
+    verdict = gate.offer_command(DRIVE, now, waited=3600 * NS_PER_S, stamp_age=3600 * NS_PER_S)
     assert verdict is Outcome.ACCEPTED
 
 
 def rate_of_40(stamps):
     """Return the highest rate (Hz) that any 40 frames in a row had."""
-    return max(39 * SECOND / (last - first)
+    return max(39 * NS_PER_S / (last - first)
                for first, last in zip(stamps, stamps[39:], strict=False))
 
 
@@ -170,11 +170,11 @@ def test_newest_replaces_older_and_the_rate_holds(rate):
     gate, now = opened(max_rate=rate)
     commands = [Vel2d(0.1, index / 1000, 0.0) for index in range(1, 1001)]
     offers = [(now + index * 5 * MS, command) for index, command in enumerate(commands)]
-    sent = play(gate, now, offers[-1][0] + 3 * SECOND, offers)
+    sent = play(gate, now, offers[-1][0] + 3 * NS_PER_S, offers)
     stamps = [stamp for stamp, _ in sent]
     assert rate_of_40(stamps) <= 1.02 * rate
     waits = [stamp - frame.offered for stamp, frame in sent if frame.kind is FrameKind.COMMAND]
-    assert max(waits) <= SECOND / rate               # no command is older than a slot
+    assert max(waits) <= NS_PER_S / rate             # no command is older than a slot
     driven = [frame for _, frame in sent
               if frame.kind is not FrameKind.STOP and frame.velocity != STOP]
     assert driven[-1].velocity == commands[-1]
@@ -186,7 +186,7 @@ def test_newest_replaces_older_and_the_rate_holds(rate):
 def publisher(begin, rate, seconds, ppm=0, jitter=0, seed=1):
     """Return when commands come: from a clock that is fast by ppm, each up to jitter ns late."""
     chance = random.Random(seed)
-    period = SECOND / rate / (1 + ppm / 1e6)
+    period = NS_PER_S / rate / (1 + ppm / 1e6)
     return [round(begin + n * period) + chance.randrange(jitter + 1)
             for n in range(round(seconds * rate))]
 
@@ -261,7 +261,7 @@ def test_a_command_ends_a_burst_but_never_skips_the_stop():
 def test_a_zero_command_while_driving_is_a_burst():
     gate, now = opened(resend_rate=0.0)
     offers = [(now, DRIVE), (now + 100 * MS, STOP)]
-    sent = play(gate, now, now + SECOND, offers)
+    sent = play(gate, now, now + NS_PER_S, offers)
     assert_burst(stops_of(sent))
     assert sent[1][1].offered == now + 100 * MS
     assert gate.counters.stops[Stop.COMMAND] == 1
@@ -273,19 +273,19 @@ def test_disabled_means_zeros_and_refusals():
     gate.offer_command(DRIVE, now)
     gate.enable(False, now)
     assert gate.offer_command(DRIVE, now + MS) is Outcome.DISABLED
-    sent = play(gate, now, now + SECOND)
+    sent = play(gate, now, now + NS_PER_S)
     assert_burst(stops_of(sent))
     assert all(frame.velocity == STOP for _, frame in sent)
-    gate.enable(True, now + SECOND)
+    gate.enable(True, now + NS_PER_S)
     assert not gate.driving
-    assert gate.offer_command(DRIVE, now + SECOND) is Outcome.ACCEPTED
+    assert gate.offer_command(DRIVE, now + NS_PER_S) is Outcome.ACCEPTED
 
 
 def test_shutdown_refuses_from_then_on():
     gate, now = opened()
     gate.stop(now, Stop.SHUTDOWN)
     assert gate.offer_command(DRIVE, now) is Outcome.SHUTDOWN
-    assert_burst(stops_of(play(gate, now, now + SECOND)))
+    assert_burst(stops_of(play(gate, now, now + NS_PER_S)))
 
 
 def test_after_a_freeze_what_waited_is_refused():
@@ -355,27 +355,27 @@ def test_a_longer_time_out_counts_from_the_next_command_on(longer, after):
     assert gate.counters.time_outs == 1
     assert not gate.driving
     gate.offer_command(DRIVE, now + 700 * MS)
-    gate.next_frame(now + 5 * SECOND)
+    gate.next_frame(now + 5 * NS_PER_S)
     assert gate.driving
 
 
 def test_a_suspend_of_the_machine_is_no_step_of_the_clock():
     """Its message was received before, and its wait is known: the time since boot went on too."""
     clock = WallClock()
-    clock.observe(1000 * SECOND, SECOND)
-    asleep = 3600 * SECOND
-    assert clock.waited(1000 * SECOND, 1000 * SECOND + asleep, SECOND + asleep) == asleep
+    clock.observe(1000 * NS_PER_S, NS_PER_S)
+    asleep = 3600 * NS_PER_S
+    assert clock.waited(1000 * NS_PER_S, 1000 * NS_PER_S + asleep, NS_PER_S + asleep) == asleep
 
 
 def test_wall_clock_tells_waiting_and_survives_steps():
     clock = WallClock()
-    assert clock.waited(1000 * SECOND, 1000 * SECOND + 3 * MS, SECOND) == 3 * MS
-    assert clock.waited(0, 1000 * SECOND, SECOND) == 0
-    stepped = 5000 * SECOND
-    assert clock.waited(1001 * SECOND, stepped, 2 * SECOND) == 0      # received before the step
-    late = clock.waited(stepped + 3 * SECOND, stepped + 4 * SECOND, 6 * SECOND)
-    assert late == SECOND
-    assert clock.waited(stepped + 5 * SECOND, 900 * SECOND, 7 * SECOND) == 0
+    assert clock.waited(1000 * NS_PER_S, 1000 * NS_PER_S + 3 * MS, NS_PER_S) == 3 * MS
+    assert clock.waited(0, 1000 * NS_PER_S, NS_PER_S) == 0
+    stepped = 5000 * NS_PER_S
+    assert clock.waited(1001 * NS_PER_S, stepped, 2 * NS_PER_S) == 0  # received before the step
+    late = clock.waited(stepped + 3 * NS_PER_S, stepped + 4 * NS_PER_S, 6 * NS_PER_S)
+    assert late == NS_PER_S
+    assert clock.waited(stepped + 5 * NS_PER_S, 900 * NS_PER_S, 7 * NS_PER_S) == 0
 
 
 # --- figures and counters, exactly ---
@@ -445,7 +445,7 @@ def test_closed_again_it_writes_and_takes_nothing():
     gate.closed()
     assert not gate.is_open
     assert not gate.stopping
-    assert gate.next_frame(now + SECOND) is None
+    assert gate.next_frame(now + NS_PER_S) is None
     assert gate.next_deadline(now) == NEVER
     assert gate.offer_command(DRIVE, now) is Outcome.NO_PORT
 
@@ -455,14 +455,14 @@ def test_closed_again_it_writes_and_takes_nothing():
     (5, 5, Outcome.ACCEPTED), (-5, 4.999, Outcome.STAMP_AHEAD), (5, 4.999, Outcome.STAMP_OLD)])
 def test_stamps_are_judged_on_both_sides(age_s, limit_s, verdict):
     gate, now = opened(max_stamp_age=float(limit_s))
-    assert gate.offer_command(DRIVE, now, stamp_age=age_s * SECOND) is verdict
+    assert gate.offer_command(DRIVE, now, stamp_age=age_s * NS_PER_S) is verdict
 
 
 def test_a_freeze_that_is_noticed_late_does_not_shorten_what_a_suspension_refuses():
     gate, now = opened()
     gate.stop(now, Stop.SUSPEND)
     gate.stop(now + 50 * MS, Stop.FROZEN)
-    assert gate.offer_command(DRIVE, now + SECOND - 1) is Outcome.FROZEN
+    assert gate.offer_command(DRIVE, now + NS_PER_S - 1) is Outcome.FROZEN
 
 
 def test_what_nobody_sets_is_as_the_parameters_say():
@@ -496,7 +496,7 @@ def test_a_burst_delays_the_next_command_by_one_interval_at_most(frames):
     gate.stop(now, Stop.TYPE_SWITCH)
     stops = stops_of(play(gate, now, now + 50 * (frames - 1) * MS))
     assert len(stops) == frames
-    sent = play(gate, stops[-1], stops[-1] + SECOND, [(stops[-1], DRIVE)])
+    sent = play(gate, stops[-1], stops[-1] + NS_PER_S, [(stops[-1], DRIVE)])
     assert sent[0][1] == (DRIVE, FrameKind.COMMAND, stops[-1])
     assert 480 * MS <= sent[0][0] - stops[-1] <= 500 * MS
 

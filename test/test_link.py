@@ -13,6 +13,8 @@ import pytest
 from terminal_server import TerminalServer
 
 from msg_defs.diagnostics import Level
+from msg_defs.units import NS_PER_MS
+from msg_defs.units import NS_PER_S
 from msg_defs.vel2d import decode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
@@ -24,9 +26,7 @@ from vel2d_bridge.bridge_status import link_status
 from vel2d_bridge.gate import FrameKind
 from vel2d_bridge.gate import Gate
 from vel2d_bridge.gate import GateSettings
-from vel2d_bridge.gate import MILLISECOND
 from vel2d_bridge.gate import Outcome
-from vel2d_bridge.gate import SECOND
 from vel2d_bridge.gate import Stop
 from vel2d_bridge.link import Link
 from vel2d_bridge.mcu_log import McuLog
@@ -230,24 +230,24 @@ class Recorder:
     lambda link: link.enable(True), lambda link: link.apply(GateSettings(max_linear_x=0.3)),
     lambda link: link.stop(Stop.TYPE_SWITCH)])
 def test_whatever_comes_first_after_a_freeze_sends_no_old_set_point(act):
-    now = SECOND
+    now = NS_PER_S
     port = Recorder()
     link = Link('/dev/none', 115200, Gate(), clock=lambda: now)
     link._begin(port)                                # no thread: it is frozen
-    now += 100 * MILLISECOND
+    now += 100 * NS_PER_MS
     while STOP not in port.written[2:]:              # the burst
-        now += 10 * MILLISECOND
+        now += 10 * NS_PER_MS
         link._pacer.turn(now)
     link.offer_command(DRIVE)
     while port.written[-1] == STOP:
-        now += 10 * MILLISECOND
+        now += 10 * NS_PER_MS
         link._pacer.turn(now)
     assert port.written[-1] == DRIVE
     port.written.clear()
-    now += 300 * MILLISECOND
+    now += 300 * NS_PER_MS
     act(link)
     for _ in range(10):
-        now += 10 * MILLISECOND
+        now += 10 * NS_PER_MS
         link._pacer.turn(now)
     assert set(port.written) == {STOP}
     assert link.state().freezes == 1

@@ -3,6 +3,7 @@
 """Pacer: writes, refusals, a line that is slow or stuck, freezes; on simulated time."""
 import pytest
 
+from msg_defs.units import NS_PER_S
 from msg_defs.vel2d import decode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
@@ -10,15 +11,14 @@ from msg_defs.vel2d import Vel2d
 from vel2d_bridge.gate import BURST_FRAMES
 from vel2d_bridge.gate import characters_ns
 from vel2d_bridge.gate import Gate
-from vel2d_bridge.gate import MILLISECOND as MS
 from vel2d_bridge.gate import NEVER
+from vel2d_bridge.gate import NS_PER_MS as MS
 from vel2d_bridge.gate import Outcome
-from vel2d_bridge.gate import SECOND
 from vel2d_bridge.gate import Stop
 from vel2d_bridge.pacer import Pacer
 from vel2d_bridge.watch import SILENCE
 
-START = 5 * SECOND
+START = 5 * NS_PER_S
 DRIVE = Vel2d(0.5, -0.25, 1.0)
 TIMEOUT = 50 * MS
 RETRY = 2 * MS                                       # soon, and not busily
@@ -57,7 +57,7 @@ class World:
         self.pacer = Pacer(Gate(baud=baud), lambda: self.now, baud=baud,
                            on_sent=self.sent.append, **options)
         self.pacer.attach(self.line, START)
-        self.run(SECOND)
+        self.run(NS_PER_S)
         self.line.written.clear()
 
     def run(self, ns):
@@ -79,7 +79,7 @@ class World:
 def test_nothing_happens_without_a_line():
     pacer = Pacer(Gate(), lambda: START)
     assert pacer.turn(START) == NEVER
-    assert pacer.turn(START + SECOND, True) == NEVER
+    assert pacer.turn(START + NS_PER_S, True) == NEVER
     assert pacer.offer_command(DRIVE, START) is Outcome.NO_PORT
     assert (pacer.freezes, pacer.is_idle()) == (0, True)
 
@@ -141,10 +141,10 @@ def test_what_the_kernel_takes_and_the_wire_does_not_is_no_good_write():
     """A UART blocked by flow control: each frame is taken, none ever leaves."""
     world = World()
     world.line.on_write = lambda: setattr(world.line, 'holds', FRAME_SIZE)
-    world.run(SECOND)
+    world.run(NS_PER_S)
     assert world.pacer.time_outs_in_row == world.pacer.time_outs > 5
     world.line.on_write = lambda: None
-    world.run(SECOND)
+    world.run(NS_PER_S)
     assert world.pacer.time_outs_in_row == 0
 
 
@@ -277,7 +277,7 @@ def test_a_new_line_does_not_pay_for_a_slow_one():
     world.pacer.step(world.now + characters_ns(FRAME_SIZE + 2, 115200))
     world.pacer.detach()
     line = Line()
-    world.now += SECOND
+    world.now += NS_PER_S
     world.pacer.attach(line, world.now)
     world.now += characters_ns(FRAME_SIZE + 2, 115200)
     world.pacer.turn(world.now)

@@ -7,9 +7,8 @@ from mecarover_serial.memory import resident_memory
 from msg_defs.diagnostics import Metric
 from msg_defs.timing import Rate
 from msg_defs.timing import Series
+from msg_defs.units import NS_PER_MS
 from vel2d_bridge.pacer import Sent
-
-_NS_PER_MS = 1e6
 
 
 class Timing:
@@ -36,7 +35,7 @@ class Timing:
             self._add('callback_to_write', sent.latency, sent.stamp)
 
     def _add(self, name: str, duration: int, now: int) -> None:
-        self.series[name].add(duration / _NS_PER_MS, now)
+        self.series[name].add(duration / NS_PER_MS, now)
 
     def reset(self) -> None:
         """Set the figures since start to zero."""

@@ -14,28 +14,28 @@ from enum import Enum
 import math
 from typing import NamedTuple
 
+from msg_defs.units import NS_PER_MS
+from msg_defs.units import NS_PER_S
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 
-SECOND = 1_000_000_000
-MILLISECOND = 1_000_000
 NEVER = 2**63 - 1
 CHARACTER_BITS = 10                # start, 8 data, stop
 GAP_CHARACTERS = 2                 # the MCU realigns after one idle character; one is for slack
 
 BURST_FRAMES = 6                   # one more than needed: the last may be late at the reader
-BURST_PERIOD = 50 * MILLISECOND    # 5 frames in this distance got through a full queue, always
-STOP_GAP = 30 * MILLISECOND        # the MCU takes one set-point in that time
+BURST_PERIOD = 50 * NS_PER_MS      # 5 frames in this distance got through a full queue, always
+STOP_GAP = 30 * NS_PER_MS          # the MCU takes one set-point in that time
 LARGEST = 1e6                      # m/s, rad/s: an MCU that multiplies it does not overflow
-SETTLE = 200 * MILLISECOND         # after a freeze, for what waited in the sockets
+SETTLE = 200 * NS_PER_MS           # after a freeze, for what waited in the sockets
 
 # The rate: slots a little closer than 1 / max_rate, and a frame may take its slot a little early.
 # So a publisher at max_rate with a clock 0.1 % fast and a varying period finds its slot free,
 # and 40 frames together still keep to 1.02 x max_rate.
 SLOTS_PER_COMMAND = 1.012
 EARLY_SLOTS = 0.3
-EARLY_MOST = 10 * MILLISECOND
+EARLY_MOST = 10 * NS_PER_MS
 MCU_PERIOD = 30_030_000            # a slot this long never fills the MCU's queue: 33.3 Hz
 MCU_RATE = 33.3
 
@@ -110,7 +110,7 @@ class Counters:
 
 def characters_ns(count: int, baud: int) -> int:
     """Time on the wire of so many characters, rounded up."""
-    return -(-count * CHARACTER_BITS * SECOND // baud)
+    return -(-count * CHARACTER_BITS * NS_PER_S // baud)
 
 
 class Gate:
@@ -129,7 +129,7 @@ class Gate:
         self._offered_at: int | None = None          # time of a command that is not written yet
         self._burst_zeros_left = 0
         self._burst_began = False                    # by writing its first zero
-        self._last_frame_at = -SECOND
+        self._last_frame_at = -NS_PER_S
         self._slot_begins_at = 0                     # the next slot of the rate
         self._last_kind = FrameKind.STOP
         self._hold_until = 0                         # writing nothing
@@ -145,16 +145,16 @@ class Gate:
     def settings(self, settings: GateSettings) -> None:
         """Take effect at once; but a longer time-out counts from the next command on."""
         self._settings = settings
-        self._timeout = round(settings.cmd_vel_timeout * SECOND)
+        self._timeout = round(settings.cmd_vel_timeout * NS_PER_S)
         if self._accepted_at is not None:
             self._expires_at = min(self._expires_at, self._expiry_of(self._accepted_at))
-        slot = math.ceil(SECOND / (SLOTS_PER_COMMAND * settings.max_rate))
+        slot = math.ceil(NS_PER_S / (SLOTS_PER_COMMAND * settings.max_rate))
         if settings.max_rate <= MCU_RATE:
             slot = max(slot, MCU_PERIOD)
         self._interval = max(slot, self._spacing)
         self._early = min(round(EARLY_SLOTS * self._interval), EARLY_MOST)
         rate = settings.resend_rate                  # never so fast that it fills the MCU's queue
-        self._resend = max(math.ceil(SECOND / rate), self._interval, STOP_GAP) if rate > 0 else 0
+        self._resend = max(math.ceil(NS_PER_S / rate), self._interval, STOP_GAP) if rate > 0 else 0
         self._limits = Vel2d(
             settings.max_linear_x, settings.max_linear_y, settings.max_angular_z)
         before, self.velocity = self.velocity, limit(self.velocity, self._limits)
@@ -184,7 +184,7 @@ class Gate:
 
     def _judge(
             self, velocity: Vel2d, now: int, waited: int, stamp_age: int | None) -> Outcome:
-        oldest = round(self._settings.max_stamp_age * SECOND)
+        oldest = round(self._settings.max_stamp_age * NS_PER_S)
         reasons = (
             (not all(map(math.isfinite, velocity)), Outcome.NOT_FINITE),
             (max(map(abs, velocity)) > LARGEST, Outcome.TOO_LARGE),
@@ -223,7 +223,7 @@ class Gate:
             self._refuse_until = max(self._refuse_until, now + SETTLE)
             self.hold(now + self._spacing)           # the deadman may just be writing
         if why is Stop.SUSPEND:                      # no command cuts its burst short
-            self._refuse_until = now + SECOND
+            self._refuse_until = now + NS_PER_S
         self._begin_burst(why)
 
     def _begin_burst(self, why: Stop) -> None:

@@ -18,6 +18,7 @@ import time
 from typing import NamedTuple
 
 from msg_defs.crc import crc32_mpeg2
+from msg_defs.units import NS_PER_S
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
@@ -35,7 +36,6 @@ from vel2d_bridge.deadman import READY
 from vel2d_bridge.gate import Gate
 from vel2d_bridge.gate import GateSettings
 from vel2d_bridge.gate import Outcome
-from vel2d_bridge.gate import SECOND
 from vel2d_bridge.gate import Stop
 from vel2d_bridge.pacer import Pacer
 from vel2d_bridge.pacer import Sent
@@ -46,11 +46,11 @@ NO_STOP = 'no stop could be sent, the rover may be driving'
 OFF, NO_USE = 'off', 'no use'      # besides the dead man's own states
 _FEW_TIME_OUTS = 2                 # in a row: no accident, it is reported
 _STUCK_TIME_OUTS = 10              # reopening may help an adapter that hangs
-_SEARCH_NS = SECOND                # when closing: for a lost port to come back
-_CLOSE_NS = 3 * SECOND // 2        # and for the last burst; the port may be stuck
+_SEARCH_NS = NS_PER_S              # when closing: for a lost port to come back
+_CLOSE_NS = 3 * NS_PER_S // 2      # and for the last burst; the port may be stuck
 _JOIN_S = 1.7
 _POLL_S = 0.005
-_HANGING_NS = SECOND               # without a turn of the thread, which takes BEAT
+_HANGING_NS = NS_PER_S             # without a turn of the thread, which takes BEAT
 _RETRY_S = 0.5                     # at most between attempts: until then the rover may be driving
 _RETRY_PAUSE_S = 0.1               # while closing, or after an error of another kind: no memory
 
@@ -197,14 +197,16 @@ class Link:
         with self._lock:
             pacer, gate = self._pacer, self.gate
             return LinkState(
-                self._port is not None, self._since,
-                self._problem or _stuck(self._name, pacer.time_outs_in_row, _FEW_TIME_OUTS),
-                self._last_error,
-                self._openings, self._losses, pacer.frames, pacer.time_outs,
-                pacer.partial_writes, pacer.freezes, pacer.last,
-                gate.driving, gate.enabled,
-                _deadman_state(self._deadman, self._port, self._clock()),
-                self._owes_stop or (
+                is_open=self._port is not None, since=self._since,
+                problem=self._problem or _stuck(
+                    self._name, pacer.time_outs_in_row, _FEW_TIME_OUTS),
+                last_error=self._last_error,
+                openings=self._openings, losses=self._losses,
+                frames=pacer.frames, time_outs=pacer.time_outs,
+                partial_writes=pacer.partial_writes, freezes=pacer.freezes, last=pacer.last,
+                driving=gate.driving, enabled=gate.enabled,
+                deadman=_deadman_state(self._deadman, self._port, self._clock()),
+                owes_stop=self._owes_stop or (
                     gate.stopping and pacer.time_outs_in_row >= _FEW_TIME_OUTS))
 
     def _is_idle(self) -> bool:
@@ -311,7 +313,7 @@ class Link:
             if error := _stuck(self._name, self._pacer.time_outs_in_row, _STUCK_TIME_OUTS):
                 raise error
             sleep = self._wake_at - self._clock()
-        if port.wait(max(sleep, 0) / SECOND, self._pipe.fd):
+        if port.wait(max(sleep, 0) / NS_PER_S, self._pipe.fd):
             self._receive(port)
         self._pipe.drain()
 
@@ -354,7 +356,7 @@ class Link:
         a board that hangs. The name is busy until then.
         """
         closed = self._closer.call(port.close)
-        while not closed.wait(BEAT / SECOND) and self._closing is None:
+        while not closed.wait(BEAT / NS_PER_S) and self._closing is None:
             self._beat(self._clock())
 
     def _report_change(self, problem: PortError | None) -> None:
@@ -372,11 +374,11 @@ class Link:
     def _pause(self, seconds: float) -> None:
         """Sleep between attempts, with a beating heart; shutting down shortens it."""
         now = self._clock()
-        deadline = now + int(seconds * SECOND)
+        deadline = now + int(seconds * NS_PER_S)
         while self._closing is None and now < deadline:
             self._beat(now)
             before = now
-            self._pipe.sleep(min(deadline - now, BEAT) / SECOND)
+            self._pipe.sleep(min(deadline - now, BEAT) / NS_PER_S)
             now = self._clock()
             self._overslept |= now - before >= SILENCE
         if self._closing is not None and not self._is_over():

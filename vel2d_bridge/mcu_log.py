@@ -18,12 +18,12 @@ from msg_defs.mcu_report import McuReport
 from msg_defs.mcu_report import parse_report
 from msg_defs.mcu_report import STOPPED
 from msg_defs.mcu_report import VERSION
+from msg_defs.units import NS_PER_S
 
 _LONGEST = 200                  # bytes of a line
 _KEPT = 5                       # lines between two that are taken
-_SECOND = 1_000_000_000
-_GARBAGE_PERIOD = 10 * _SECOND  # between complaints
-_REFUSED_FOR = 10 * _SECOND     # after its last word a refusal is a complaint for so long
+_GARBAGE_PERIOD = 10 * NS_PER_S  # between complaints
+_REFUSED_FOR = 10 * NS_PER_S    # after its last word a refusal is a complaint for so long
 _DRIVES_MIN = 5                 # frames: fewer refused ones may be an accident
 _DRIVES_KEPT = 200              # frames that say whether commands to drive are refused: about 10 s
 CRC_MISMATCH = 'crc mismatch'
@@ -32,7 +32,7 @@ _KEYS = ('MCU state', 'MCU good frames', 'MCU bad frames', 'MCU refused frames',
          'MCU watchdog stops')
 _COLOUR = re.compile(rb'\x1b\[[0-9;]*[A-Za-z]')
 _ANSWERS = 10                   # that a command is not understood: so many show what the MCU reads
-_ANSWERS_WITHIN = 60 * _SECOND
+_ANSWERS_WITHIN = 60 * NS_PER_S
 _NOT_UNDERSTOOD = re.compile(
     r'(invalid|unknown|unrecogni[sz]ed|unsupported|illegal|bad) (command|cmd)'
     r'|(command|cmd) (not (found|recogni[sz]ed|supported)|unknown|invalid)'
@@ -71,7 +71,7 @@ class McuLog:
         self._partial = b''
         self._kept: deque[str] = deque()
         self._skipped = 0
-        self._taken = -_SECOND
+        self._taken = -NS_PER_S
         self._complained = -_GARBAGE_PERIOD
         self._report: McuReport | None = None
         self._reported_at = 0
@@ -136,7 +136,7 @@ class McuLog:
 
     def take_lines(self, now: int) -> list[str]:
         """Return the lines since the last call, at most a few per second."""
-        if now - self._taken < _SECOND:
+        if now - self._taken < NS_PER_S:
             return []
         self._taken = now
         lines = []
@@ -204,7 +204,7 @@ class McuLog:
         figures = zip(_KEYS, map(str, report[1:]), strict=True)
         return {'MCU version': report.version,
                 **dict(figures if report.version == VERSION else ()),
-                'MCU report age (s)': f'{(now - self._reported_at) / _SECOND:.1f}'}
+                'MCU report age (s)': f'{(now - self._reported_at) / NS_PER_S:.1f}'}
 
     def garbage(self, now: int) -> str:
         """Return a complaint about new garbage, '' when there is none or it was just said."""

@@ -17,6 +17,8 @@ from typing import NamedTuple
 from typing import Protocol
 
 from msg_defs.crc import crc32_mpeg2
+from msg_defs.units import NS_PER_MS
+from msg_defs.units import NS_PER_S
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import Vel2d
@@ -25,14 +27,12 @@ from vel2d_bridge.gate import Frame
 from vel2d_bridge.gate import FrameKind
 from vel2d_bridge.gate import GAP_CHARACTERS
 from vel2d_bridge.gate import Gate
-from vel2d_bridge.gate import MILLISECOND
 from vel2d_bridge.gate import NEVER
 from vel2d_bridge.gate import Outcome
-from vel2d_bridge.gate import SECOND
 from vel2d_bridge.gate import Stop
 from vel2d_bridge.watch import SILENCE
 
-RETRY = 2 * MILLISECOND
+RETRY = 2 * NS_PER_MS
 FIFO_CHARACTERS = 128              # the longest transmit FIFO of common UARTs and adapters
 
 
@@ -108,7 +108,7 @@ class Pacer:
     @property
     def _patience(self) -> int:
         """How long a frame may take to leave (ns): never less than it takes on the wire."""
-        return max(round(self.write_timeout_s * SECOND), 2 * self._spacing)
+        return max(round(self.write_timeout_s * NS_PER_S), 2 * self._spacing)
 
     def turn(self, now: int, acted: bool = False) -> int:
         """Step in the owner's thread, at least every BEAT; `acted`: the deadman wrote a stop."""
