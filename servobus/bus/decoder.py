@@ -12,6 +12,7 @@ from msg_defs import dxl1_packet
 from msg_defs.dxl1_proof import Detector
 from msg_defs.dxl_mixed import MixedFramer
 from msg_defs.dxl_packet import Framer
+from msg_defs.event import ADDS_RETURNS
 from msg_defs.event import AWAY
 from msg_defs.event import BAUD
 from msg_defs.event import Change
@@ -142,7 +143,11 @@ class BusDecoder:
             began = stamp - int(wire_ns)
             self.clock.add_write(began, wire_ns, awaited, self.evidence.waits_added != waited)
             if self.tracker.asked == stamp:
-                self.clock.add_instruction(self.tracker.pending, began, wire_ns)
+                plan = self.tracker.pending
+                self.clock.add_instruction(plan, began, wire_ns)
+                if self.line_mode >= ADDS_RETURNS and b'\n' in chunk:
+                    self.evidence.add_incident(stamp, ev.RETURN_ADDED, plan.request.id,
+                                               plan.request.instruction)
 
     def _end_reply(self, stamp: int) -> None:
         """Decide an answer that stopped on its way, before what the master says next is taken."""

@@ -164,6 +164,7 @@ NOT_SENT = IncidentKind('not sent', Code)
 THROWN_AWAY = IncidentKind('answers thrown away', Code)       # unread
 WRONG_PACKET = IncidentKind('wrong packet', Code)             # the master's: none takes it
 HUNG = IncidentKind('question never given up', Lateness)
+RETURN_ADDED = IncidentKind('sent with 0D before 0A', Code)   # by the driver of the port
 SPLIT = IncidentKind('answer read in part', Nothing)          # the program asked before its end
 TAKEN_FOR = IncidentKind('taken for another', Count)   # the ID that answered; asked on at once
 NOT_TAKEN = IncidentKind('not taken at once', Nothing)         # counted only: the same, later
@@ -205,6 +206,7 @@ _TEXTS: dict[str, str] = {
     BAD_ID: 'packet with ID {value}',
     WRONG_PACKET: '{instruction} with a wrong CRC, checksum or Length',
     FOREIGN: '{instruction} of another master',
+    RETURN_ADDED: '{instruction} that the driver sent with 0D before 0A',
     NOT_SENT: '{instruction} that did not leave the adapter',
     PORT_LOST: 'the program lost its port: error {number}',
     SOURCE_LOST: '{number} events or bytes that were not heard',

@@ -22,6 +22,7 @@ import re
 import termios
 from typing import NamedTuple
 
+from msg_defs.event import ADDS_RETURNS
 from msg_defs.event import AWAY
 from msg_defs.event import BAUD
 from msg_defs.event import CHANGES_BYTES
@@ -73,6 +74,8 @@ _UNFINISHED = b' <unfinished ...>'
 _CFLAG = re.compile(rb'c_cflags?=(0x[0-9a-f]+)')        # the rate, or all flags
 _LFLAG = re.compile(rb'c_lflags?=(0x[0-9a-f]+|0)?')     # strace prints nothing for 0
 _IFLAG = re.compile(rb'c_iflags?=(0x[0-9a-f]+|0)?')
+_OFLAG = re.compile(rb'c_oflags?=([0-9a-fx|]*)')        # as 0|0|0x5
+_ADDING = termios.OPOST | termios.ONLCR
 _CHANGING = termios.ICRNL | termios.INLCR | termios.IGNCR | termios.ISTRIP | termios.IXON
 _OSPEED = re.compile(rb'c_ospeed=(\d+)')
 _RATES = {getattr(termios, name): int(name[1:]) for name in dir(termios)
@@ -353,11 +356,15 @@ def _ioctl(port: _TracedPort, arguments: bytes, stamp: int) -> PortEvents:
 
 
 def _find_line_mode(port: _TracedPort, settings: bytes, stamp: int) -> PortEvents:
-    local, on_input = _LFLAG.search(settings), _IFLAG.search(settings)
-    if local is None:
+    if not (local := _LFLAG.search(settings)):
         return
-    mode = HOLDS_LINES if int(local[1] or b'0', 16) & termios.ICANON else \
-        CHANGES_BYTES if on_input and int(on_input[1] or b'0', 16) & _CHANGING else 0
+    on_input, on_output, local_flags = (
+        _flags(found[1] or b'') if found else 0 for found in (
+            _IFLAG.search(settings), _OFLAG.search(settings), local))
+    mode = HOLDS_LINES if local_flags & termios.ICANON else \
+        CHANGES_BYTES if on_input & _CHANGING else 0
+    if on_output & _ADDING == _ADDING:
+        mode += ADDS_RETURNS
     if mode != port.line_mode:
         port.line_mode = mode
         yield PortEvent(stamp, port.name, LINE_MODE, value=mode)

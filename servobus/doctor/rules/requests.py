@@ -207,7 +207,7 @@ def port_lost(case: Case) -> Claims:
                     'echo', 'unread bytes', 'wrong length', 'slow cycle'})
 def line_mode(case: Case) -> Claims:
     """
-    Answers are missed or damaged; the program's port is in line mode (ICANON) or changes bytes.
+    Answers are missed or damaged; its port is in line mode (ICANON) or changes bytes (ONLCR).
 
     Do: set the port to raw before the first question.
     """
@@ -215,11 +215,18 @@ def line_mode(case: Case) -> Claims:
     if not mode:
         return
     # What is changed is damaged; a device of which nothing comes is silent for another reason.
-    lost = sum(device.totals.missed for device in case.devices) if mode == HOLDS_LINES else 0
+    asked = {one.device for one in case.incidents(ev.RETURN_ADDED)}
+    lost = sum(device.totals.missed for device in case.devices
+               if mode & HOLDS_LINES or device.id in asked)
     if lost + case.damage >= (1 if case.failed else INCIDENTS_MIN):
+        ways = []
+        if case.damage or not asked:
+            ways.append('changes or takes bytes, as 0D to 0A (ICRNL), or 11 and 13 (IXON)')
+        if asked:
+            ways.append('sends 0D 0A for each 0A (ONLCR), as in packets to '
+                        f'{first_ids(sorted(asked), 3)}')
         what = 'is in line mode (ICANON): its driver holds the answers until a byte is an end ' \
-            'of line' if mode == HOLDS_LINES else 'is not raw: its driver changes or takes ' \
-            'bytes, as 0D to 0A (ICRNL), or 11 and 13 (IXON)'
+            'of line' if mode & HOLDS_LINES else f'is not raw: its driver {", and ".join(ways)}'
         yield Claim(f'the port {what}; let the program set it to raw (cfmakeraw, tty.setraw), or '
                     'call `stty raw -echo` before',
                     {'missed or damaged': lost + case.damage})
