@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from collections.abc import Set
 from dataclasses import replace
 from itertools import groupby
+from itertools import takewhile
+from operator import attrgetter
 from statistics import median
 
 from msg_defs.diagnostics import Level
@@ -57,6 +59,9 @@ from servobus.doctor.thresholds import LONG_WAIT_MS
 TOGETHER_S = 0.5                   # fell silent, or came back, within it: by one cause
 RETURN_SETTLED_S = 2.0             # by then a restart has shown
 TICK_TURN_S, TICK_SLACK_S = 32.768, 0.5        # Realtime Tick begins at 0 again (e-Manual)
+TOGETHER_MIN = 4                   # times that answers are missing: fewer coincide by chance
+TOGETHER_MIN_SHARE = 0.8           # share of these times, in one cycle
+TOGETHER_KEPT = 16                 # the last of these times
 MISSED_MIN_SHARE = 0.01            # share of its answers; fewer are lost on a healthy bus too
 LATE_MIN_SHARE = 0.1               # share of its answers; fewer are late by chance
 ACKS_MISSED_LIMIT = 4              # as `missed_limit`
@@ -556,11 +561,35 @@ def missed_answers(case: Case, device: DeviceReport) -> Found | None:
     if is_gone or is_rate_search(case.report) or case.count(ev.REBOOTED, device) \
             or case.count(ev.MISSED, device) < INCIDENTS_MIN:
         return None
+    figures = {'loss': share(lost, window.asked), 'missed': f'{lost} of {window.asked}'}
+    if together := _missing_together(case, device):
+        return Claim(f'answers of {first_ids(together, 3)} are missing in the same moments, '
+                     f'others are not: check {_before(case, together)}', figures)
     return Claim(f'{about(lost, window.asked)} of its answers missing, with no bytes '
                  'in their place: check its plugs; a device that did not get the instruction '
-                 'looks the same',
-                 {'loss': share(lost, window.asked),
-                  'missed': f'{lost} of {window.asked}'})
+                 'looks the same', figures)
+
+
+def _missing_together(case: Case, device: DeviceReport) -> list[int]:
+    """Return devices, adjacent by ID, that miss answers in the same cycles; [] if it is alone."""
+    cycle = max((one for one in case.cycles if device.id in one.ids and len(one.stamps) > 1),
+                key=attrgetter('asked'), default=None)
+    mine = [one.stamp for one in case.incidents(ev.MISSED, device)][-TOGETHER_KEPT:]
+    if cycle is None or len(mine) < TOGETHER_MIN:
+        return []
+    period = (cycle.stamps[-1] - cycle.stamps[0]) / (len(cycle.stamps) - 1)
+
+    def is_alike(number: int) -> bool:
+        stamps = [one.stamp for one in case.incidents(ev.MISSED, case.by_id[number])
+                  if one.stamp > mine[0] - period]
+        return sum(any(abs(one - stamp) < period for stamp in stamps) for one in mine) \
+            >= TOGETHER_MIN_SHARE * max(len(mine), len(stamps))
+
+    ids = sorted(case.by_id)
+    at = ids.index(device.id)
+    before, after = takewhile(is_alike, reversed(ids[:at])), takewhile(is_alike, ids[at + 1:])
+    found = sorted([*before, device.id, *after])
+    return found if 1 < len(found) < len(ids) else []
 
 
 RULES = (brown_out, all_silent, broken_cable, sync_read_stops, no_answer, rebooted,

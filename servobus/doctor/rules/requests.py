@@ -64,6 +64,7 @@ WORKED_MIN_S = 2.5                 # a program that ran so long has stopped; a c
 _READ_WRONGLY = {ev.STUFFED, ev.SPLIT, ev.TAKEN_FOR, ev.STALE}
 _HUNG_UP = {5: 'Input/output error', 6: 'No such device or address', 19: 'No such device'}
 UNANSWERED_SESSIONS_MIN = 5              # openings of the port
+SPLIT_MIN_SHARE = 0.01             # share of the instructions; a busy computer delays a few
 TAKEN_MIN = 5                      # answers
 TAKEN_MAX_LATER = 1.5              # as many as are taken: after these it did not ask at once
 NO_IDS = (0xFD, 0xFF)
@@ -114,7 +115,7 @@ def unread_answers(case: Case) -> Claims:
                     {'read in part': case.count(ev.STUFFED)}, covers=tuple(case.by_id))
         return
     split = case.count(ev.SPLIT)
-    if split >= INCIDENTS_MIN:
+    if split >= max(INCIDENTS_MIN, SPLIT_MIN_SHARE * case.increase_of('instructions')):
         yield Claim(f'the program reads a part of an answer and asks on, {split} times in 10 s: '
                     'let it read until the answer is whole, or its time-out is over',
                     {'read in part': split}, covers=tuple(case.by_id))
