@@ -16,6 +16,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from types import SimpleNamespace
 
 from hypothesis import given
 from hypothesis import settings
@@ -43,6 +44,7 @@ from servobus.sources import strace
 from servobus.sources.strace_parser import OPENED
 from servobus.sources.strace_parser import StraceParser
 from servobus.sources.tap_reader import TapReader
+from servobus.tools.start_program import StartedProgram
 
 RECORDED = Path(__file__).with_name('strace_6.1.txt').read_bytes()
 FIRST = 1795438179_000000000              # the second in which it was recorded
@@ -133,6 +135,16 @@ def test_single_calls(case):
 def test_who_reads_and_writes_is_known():
     child = 30898
     assert {one.process for one in events(RECORDED) if one.what in (OUT, IN)} == {MAIN, child}
+
+
+def test_a_child_of_a_program_that_has_ended_is_no_other_program():
+    child, ended = subprocess.Popen(['sleep', '60']), subprocess.Popen(['true'])
+    ended.wait()
+    started = SimpleNamespace(child=child)
+    own = [StartedProgram.has_started(started, one) for one in (child.pid, ended.pid, os.getpid())]
+    child.kill()
+    child.wait()
+    assert own == [True, True, False]
 
 
 def test_a_long_write_has_a_time_near_its_end():
@@ -233,6 +245,7 @@ LASTING = """
     sys.exit(5)"""
 READING = """
 from servobus.sources.tap_reader import TapReader
+from servobus.tools.start_program import StartedProgram
 reader = TapReader('robot')
 print('ready', flush=True)
 while not reader.wait(1.0): pass

@@ -117,6 +117,12 @@ def is_started_by(process: int, ancestor: int) -> bool:
     return process == ancestor
 
 
+def tracer(process: int | str) -> int:
+    """Return the process that traces this one, 0 for none."""
+    text = file_text(ROOT / f'proc/{process}/status').partition('TracerPid:\t')[2]
+    return int(text.partition('\n')[0] or 0)
+
+
 def _stat_fields(process: Path) -> list[str]:
     return file_text(process / 'stat').rpartition(')')[2].split()
 

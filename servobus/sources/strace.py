@@ -15,10 +15,10 @@ import subprocess
 import sys
 import time
 
-from servobus.port.port_users import file_text
 from servobus.port.port_users import is_controlled_by
 from servobus.port.port_users import PTYS
 from servobus.port.port_users import terminal_id
+from servobus.port.port_users import tracer
 from servobus.sources.reader_process import PIPE_SIZE
 from servobus.sources.strace_parser import OPTIONS
 from servobus.sources.tap_sender import PORT
@@ -122,12 +122,6 @@ def start(env: dict[str, str], name: str, folder: str, command: Sequence[str] = 
         os.close(ours)
         os.unlink(fifo)
     return child, relay
-
-
-def tracer(process: int | str) -> int:
-    """Return the process that traces this one, 0 for none."""
-    text = file_text(Path(f'/proc/{process}/status')).partition('TracerPid:\t')[2]
-    return int(text.partition('\n')[0] or 0)
 
 
 def unheard(process: int, used: set[str] | None = None) -> set[str]:

@@ -28,6 +28,9 @@ import time
 from types import FrameType
 from types import ModuleType
 
+from servobus.port.port_users import is_running
+from servobus.port.port_users import is_started_by
+from servobus.port.port_users import tracer
 from servobus.sources.site import __file__ as SITE
 from servobus.sources.tap_sender import TAP_MARK
 from servobus.sources.tap_sender import TAP_NAME
@@ -106,6 +109,12 @@ class StartedProgram:
         code = self.child.returncode or 0
         return 128 - code if code < 0 else code
 
+    def has_started(self, process: int) -> bool:
+        """Tell whether a process is of the program, or has ended by now: a child of a shell."""
+        ours = tracer(self.child.pid)
+        return is_started_by(process, self.child.pid) \
+            or 0 < ours == tracer(process) or not is_running(process)
+
     @property
     def is_heard_out(self) -> bool:
         """Whether nothing more comes from strace."""
@@ -126,7 +135,7 @@ class StartedProgram:
                 used = set(map(os.path.realpath, self._marked(USED)))
                 found = strace.unheard(self.child.pid, used)
             else:
-                found = strace.unheard(self.child.pid) if strace.tracer(self.child.pid) \
+                found = strace.unheard(self.child.pid) if tracer(self.child.pid) \
                     else {STOPPED}
             if self.child.returncode is not None:
                 return

@@ -35,7 +35,6 @@ from servobus.bus.report import STOLE_REPLIES
 from servobus.plain import printable
 from servobus.port.port_users import holders
 from servobus.port.port_users import is_running
-from servobus.port.port_users import is_started_by
 from servobus.sources.capture import Wire
 from servobus.sources.source import Chunks
 from servobus.sources.source import Source
@@ -239,7 +238,7 @@ class Program(Source):
             found = self._others.setdefault(ntpath.basename(port), [])
             found += [one.name for one in holders(port)
                       if not one.is_maker and one.name not in found
-                      and not is_started_by(one.process, self._child.pid)]
+                      and not self._started.has_started(one.process)]
         now_s = time.monotonic()
         self._users_due_s = now_s + max(USERS_EVERY_S, USERS_EVERY_SHARE * (now_s - self._began_s))
 
