@@ -26,6 +26,9 @@ from msg_defs.dxl_instruction import Instruction as I
 from rigs.tables import rows_of
 from servobus.bus import evidence as ev
 from servobus.bus.report import Counts
+from servobus.bus.report import IdWrite
+from servobus.doctor.bit_errors import TWO_SENDERS
+from servobus.doctor.case import Case
 from servobus.doctor.case import Sample
 from servobus.doctor.facts import FACTORY
 from servobus.model.control_table import Model
@@ -94,6 +97,18 @@ def test_goals_of_a_mode_that_was_refused_need_no_wider_limits(errors, registers
                      notes=note(ev.REFUSED, ev.Refusal(3, 116, 6), 3))
     assert claim.message.endswith('those of another Operating Mode, of which the write was refused'
                                   if is_mode else 'set wider ones (as Max Position Limit)')
+
+
+@pytest.mark.parametrize(('picture', 'asked', 'ids', 'says'), [
+    (TWO_SENDERS, 5, (1,), 'its answers collide since 001 was given this ID'),
+    (TWO_SENDERS, 5, (1, 2), 'a Write to all (ID 254) gave 001, 002 the ID 005'),
+    (TWO_SENDERS, 6, (1,), None), ('interference', 5, (1,), None), (TWO_SENDERS, 5, (), None)])
+def test_an_id_that_two_servos_were_given(monkeypatch, picture, asked, ids, says):
+    monkeypatch.setattr(Case, 'damage_picture', lambda *_: {'looks like': picture})
+    window = {'missed': 3, 'answers': asked - 3, 'spoilt': 3}
+    found = claims('id_write', devices=[device(1), device(2), device(5, window=window)],
+                   id_writes=(IdWrite(5, ids, NOW - 9 * S, -1),) if ids else ())
+    assert [one.message.startswith(says) for one in found] == [True] * bool(says)
 
 
 @pytest.mark.parametrize(('errors', 'found'), [({}, 1), ({(3, 11, 7): 1}, 0)])

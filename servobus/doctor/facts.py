@@ -67,7 +67,8 @@ SCS_STEPS = 1024                   # over the travel of an SCS
 SUPPLY = 'Present Input Voltage', 'Min Voltage Limit', 'Max Voltage Limit'
 SINGLE_WRITES = (Instruction.WRITE, Instruction.REG_WRITE)
 # Error numbers of a status (e-Manual, Protocol 2.0).
-INSTRUCTION_ERROR, RANGE_ERROR, LENGTH_ERROR, LIMIT_ERROR, ACCESS_ERROR = 2, 4, 5, 6, 7
+INSTRUCTION_ERROR, CRC_ERROR = 2, 3
+RANGE_ERROR, LENGTH_ERROR, LIMIT_ERROR, ACCESS_ERROR = 4, 5, 6, 7
 
 
 # --- registers -----------------------------------------------------------------------------------

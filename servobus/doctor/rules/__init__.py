@@ -21,8 +21,8 @@ FAMILIES: dict[str, tuple[Rule, ...]] = {
     'Devices are missing': missing.RULES,
     'Goals and joints': goals.RULES,
     'The devices themselves': devices.RULES,
-    'Time': timing.RULES,
     'What the program does': requests.RULES,
+    'Time': timing.RULES,
     'Feetech servos': feetech.RULES}
 RULES = tuple([rule for rules in FAMILIES.values() for rule in rules])
 BY_NAME = {rule.name: rule for rule in RULES}

@@ -317,7 +317,7 @@ def torque_off(case: Case, device: DeviceReport) -> Found | None:
         first = 'read Torque Enable and Operating Mode' \
             if torque is not None and 'Operating Mode' in device.model.by_name \
             else 'write 1 to Torque Enable'
-        if raw_value(case, device, _TORQUE_OF_HLS) == 0:
+        if raw_value(case, device, _TORQUE_OF_HLS) == 0 and device.id not in case.turned:
             first = 'an HLS servo has no force with the Goal Torque 0 that is sent to it; else ' \
                 f'{first}'
         return Claim('goals leave its position on both sides or repeatedly, and it '

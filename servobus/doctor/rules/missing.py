@@ -91,10 +91,12 @@ def brown_out(case: Case) -> Claims:
                      if number != last.device and device.window.not_served and not device.alert
                      and _supply_proof(case, other := replace(last, device=number))]
     ids = sorted({one.device for one in together})
-    proofs = [proof for one in together if (proof := _supply_proof(case, one))]
+    restarts = [proof for one in together if (proof := _restart_proof(case, one))]
+    proofs = restarts or [proof for one in together if (proof := _supply_dip(case, one.device))]
     if len(ids) > 1 and proofs:
-        yield Claim(f'{first_ids(ids, 2)} restarted together ({proofs[0]}): the supply failed; '
-                    'check battery and cables, set up again',
+        what = f'restarted together ({proofs[0]}): the supply failed' if restarts else \
+            f'were silent together, and their supply fell ({proofs[0]})'
+        yield Claim(f'{first_ids(ids, 2)} {what}; check battery and cables, set up again',
                     {'devices': all_ids(ids), 'seen by': proofs[0]}, covers=tuple(ids))
     elif _was_with_all(case, last, ids):
         yield Claim(f'{first_ids(ids, 2)} were silent together for {last.detail.ms} ms: the '
@@ -116,11 +118,14 @@ def _was_with_all(case: Case, back: Incident[ev.SilentFor], ids: list[int]) -> b
 
 def _supply_proof(case: Case, back: Incident[ev.SilentFor]) -> str:
     """Return what says that a device restarted or had too little voltage, '' if nothing does."""
-    number = back.device
+    return _restart_proof(case, back) or _supply_dip(case, back.device)
+
+
+def _supply_dip(case: Case, number: int) -> str:
+    """Return what says that a device had too little voltage, '' if nothing does."""
     voltages = [one.voltage for one in case.samples.get(number, ()) if one.voltage]
-    dip = f'{number:03} measured {min(voltages):.1f} V before, {voltages[-1]:.1f} V now' \
+    return f'{number:03} measured {min(voltages):.1f} V before, {voltages[-1]:.1f} V now' \
         if voltages and min(voltages) < DIP_MAX_SHARE * voltages[-1] else ''
-    return _restart_proof(case, back) or dip
 
 
 @Rule(subject='bus', level=Level.ERROR, holds=False,
@@ -411,7 +416,7 @@ def rebooted(case: Case, device: DeviceReport) -> Found | None:
 
 @Rule(needs_incident=(ev.RETURNED,),
       symptoms={'absence'},
-      accounts_for={'missed answers', 'uneven rhythm'})
+      accounts_for={'missed answers', 'uneven rhythm', 'joint at rest'})
 def dropout(case: Case, device: DeviceReport) -> Found | None:
     """
     Silent for three questions or more, 0.1 s at least, and back; restart not proven.

@@ -30,6 +30,7 @@ from servobus.bus import report as words
 from servobus.bus.report import DeviceReport
 from servobus.doctor.bit_errors import cut_packets
 from servobus.doctor.bit_errors import expected_packets
+from servobus.doctor.bit_errors import TWO_SENDERS
 from servobus.doctor.case import Case
 from servobus.doctor.facts import count_early_ends
 from servobus.doctor.facts import count_early_reads
@@ -294,7 +295,7 @@ def id_moved(case: Case, device: DeviceReport) -> Found | None:
                     'damaged first bytes', 'slow cycle', 'joint at rest'})
 def id_write(case: Case) -> Claims:
     """
-    An ID written to all, together with the Baud Rate, or lost with the power (WARN).
+    An ID written to two or all, together with the Baud Rate, or lost with the power (WARN).
 
     Do: connect one servo, write one byte; write 0 to Lock before (Feetech).
     """
@@ -302,12 +303,18 @@ def id_write(case: Case) -> Claims:
         new = case.by_id.get(number)
         gone = [one for one in ids if one in case.by_id and case.by_id[one].missed_in_a_row
                 and _heard_at(case, one) <= stamp]
+        collide = new is not None and _two_answer_at_once(case, new)
         if len(ids) > 1:
-            if len(gone) > 1 and sum(case.by_id[one].missed_in_a_row for one in gone) \
-                    >= INCIDENTS_MIN:
-                yield Claim(f'a Write to all (ID {BROADCAST}) gave {first_ids(gone, 3)} the ID '
+            if collide or (len(gone) > 1 and sum(
+                    case.by_id[one].missed_in_a_row for one in gone) >= INCIDENTS_MIN):
+                lost = gone if len(gone) > 1 else ids
+                yield Claim(f'a Write to all (ID {BROADCAST}) gave {first_ids(lost, 3)} the ID '
                             f'{number:03}: they talk at once; connect one at a time and give '
-                            'each its own ID', covers=(*gone, number))
+                            'each its own ID', covers=(*lost, number))
+        elif collide:
+            yield Claim(f'its answers collide since {ids[0]:03} was given this ID: two devices '
+                        f'had the ID {ids[0]:03}, or another one had this; unplug one, give the '
+                        'other its own ID', covers=ids, device=number)
         elif new is None or new.missed_in_a_row < INCIDENTS_MIN:
             continue
         elif baud >= 0 and not back and _heard_at(case, number) <= stamp:
@@ -322,10 +329,17 @@ def id_write(case: Case) -> Claims:
                         f'again with its torque off{of_lock}', level=Level.WARN, device=number)
         elif is_locked and _heard_at(case, number) > stamp and not back \
                 and FEETECH.name in new.protocol:
-            yield Doubt(f'silent since; {ids[0]:03} was given this ID without 0 in Lock before: a '
-                        'Feetech servo has its old ID again when its power was off, or it lost '
-                        'its cable', number, f'ping {ids[0]:03}: if it answers, write 0 to Lock '
-                        f'(55), {number} to ID (5), 1 to Lock')
+            yield Claim(f'silent; {ids[0]:03} was given this ID without 0 in Lock before, so it '
+                        'has its old ID again if its power was off, or it lost its cable; ping '
+                        f'{ids[0]:03}: if it answers, write 0 to Lock (55), {number} to ID (5), '
+                        '1 to Lock', level=Level.WARN, device=number)
+
+
+def _two_answer_at_once(case: Case, device: DeviceReport) -> bool:
+    """Tell whether most answers of a device are those of two at once."""
+    window = device.window
+    return window.spoilt >= INCIDENTS_MIN and 2 * window.spoilt > window.asked \
+        and case.damage_picture(device).get('looks like', '').startswith(TWO_SENDERS)
 
 
 def _heard_at(case: Case, number: int) -> float:

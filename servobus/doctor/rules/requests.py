@@ -28,6 +28,7 @@ from servobus.doctor.bad_packets import repeated_bad_packet
 from servobus.doctor.case import Case
 from servobus.doctor.case import Names
 from servobus.doctor.facts import ACCESS_ERROR
+from servobus.doctor.facts import CRC_ERROR
 from servobus.doctor.facts import fatal_wait
 from servobus.doctor.facts import INSTRUCTION_ERROR
 from servobus.doctor.facts import least_refusals
@@ -392,7 +393,8 @@ def refused(case: Case, device: DeviceReport) -> Found | None:
 
     Do: set its model in `devices`.
     """
-    address, error, count = most_refused(case, device, lambda one: one.address >= 0)
+    address, error, count = most_refused(        # a wrong CRC is damage on the way
+        case, device, lambda one: one.address >= 0 and one.error != CRC_ERROR)
     if count < INCIDENTS_MIN or device.model.number is not None:
         return None
     last = case.incidents(ev.REFUSED, device)[-1].detail

@@ -88,6 +88,7 @@ HZ_60_NS = NS_PER_S // 60
 HZ_60_MIN_SHARE = 0.7              # share of those gaps
 NO_WAIT_US = 50                    # less than any answer takes on the wire
 LATE_ONE_MAX_SHARE = 0.6           # share of what is late: of more, one device is slow
+LATE_MIN_SHARE_OF_WAITS = 0.2      # else most are for devices that are silent
 THROWN_AWAY_MIN = 10               # answers: a program may clear its input at its start
 ACKS_HIT_MIN_SHARE = 0.7           # share of the spoilt answers, which come right after a write
 HIT_BY_CHANCE = 0.0015             # that noise hits just the questions after a write
@@ -244,7 +245,8 @@ def _answers_after_it_went_on(case: Case) -> tuple[int, float]:
     late = Counter(one.device for one in first_of_groups(case.incidents(ev.LATE)))
     times = late.total() + case.count(ev.STALE)
     others = case.count(ev.SECOND_ANSWER) + case.count(ev.UNASKED) + case.count(ev.RETURNED)
-    if min(len(waits), times, others) < INCIDENTS_MIN or median(waits) >= ADAPTER_HOLD_US:
+    if min(len(waits), times, others) < INCIDENTS_MIN or median(waits) >= ADAPTER_HOLD_US \
+            or times < LATE_MIN_SHARE_OF_WAITS * len(waits):
         return 0, 0.0
     is_of_one = max(late.values(), default=0) > LATE_ONE_MAX_SHARE * times
     return 0 if is_of_one and len(case.devices) > 1 else times, max(0.0, median(waits))
