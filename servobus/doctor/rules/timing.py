@@ -96,6 +96,8 @@ AFTER_WRITE_NS = 2 * NS_PER_MS     # as far as chunks tell time
 LATE_MIN_SHARE = 0.02              # share of the answers; a busy computer delays less
 CYCLE_MIN_SHARE = 0.5              # share of the cycle: most of it
 SINGLE_READS_MIN = 3               # that one Sync Read replaces
+GROUP_DELAY_FACTOR = 4             # times the first answer's delay: each servo of a group adds its
+SERVO_DELAY_MAX_MS = 2.0           # the longest Return Delay Time is 0.5 ms; and a busy computer
 SLOW_ANSWER_MS = 0.4               # reply latency: Return Delay Time from the factory is 0.5 ms
 
 
@@ -389,13 +391,16 @@ def latency_timer(case: Case) -> Claims:
 
     Do: set the latency timer of the master's adapter to 1 ms.
     """
+    if case.report.cycle is not None and case.report.cycle.asleep > case.report.cycle.device:
+        return                                 # when the answers came is unknown
+    if case.has_sides:
+        yield from _answers_held_back(case)
+        return
     answers = [answer_ns(cycle, case.report.baud) for cycle in case.cycles]
     answered = sum(len(cycle.stamps) - bisect_right(cycle.stamps, case.now - NS_PER_S)
                    for cycle, answer in zip(case.cycles, answers, strict=True) if answer)
     if answered > LATENCY_TIMER_MAX_PER_S + 1:     # before all is sorted: it is a fast bus
         return
-    if case.report.cycle is not None and case.report.cycle.asleep > case.report.cycle.device:
-        return                                 # when the answers came is unknown
     # In one chunk a write comes first: a question would have had to wait for its answer.
     stamps = sorted((stamp, answers[number], number)
                     for number, cycle in enumerate(case.cycles)
@@ -412,10 +417,6 @@ def latency_timer(case: Case) -> Claims:
     if is_coarse and all(
             abs(gap - ADAPTER_GRID_NS) < ADAPTER_GRID_NS // 1000 for _, gap in latent):
         return
-    if case.has_sides and not any(
-            known is not None and known.p50 > LATENCY_TIMER_MS[0] / 2
-            for one in case.devices for known in [one.latency.window]):
-        return                                 # the answers were there long before
     if latent and sum(abs(gap - HZ_60_NS) < HZ_60_NS // 100 for _, gap in latent) \
             >= HZ_60_MIN_SHARE * len(latent):
         yield Doubt('instructions come every 16.7 ms: a loop at 60 Hz, or a latency timer '
@@ -426,6 +427,16 @@ def latency_timer(case: Case) -> Claims:
         yield Claim('most instructions come 16 ms after the previous answer: the latency '
                     "timer of the master's adapter; set it to 1 ms",
                     {'16 ms later': f'{len(latent)} of {len(gaps)}'})
+
+
+def _answers_held_back(case: Case) -> Claims:
+    """Look at when answers come to the master: no Return Delay Time is longer than 0.5 ms."""
+    known = [one.latency.window.p50 for one in case.devices if one.latency.window is not None
+             and one.latency.window.count >= LATENCY_TIMER_MIN_GAPS]
+    held = [ms for ms in known if LATENCY_TIMER_MS[0] <= ms <= LATENCY_TIMER_MS[1]]
+    if held and len(held) >= LATENCY_TIMER_MIN_SHARE * len(known):
+        yield Claim("answers come 16 ms after the instruction: the latency timer of the master's "
+                    'adapter; set it to 1 ms', {'reply latency (ms)': f'{median(held):.1f}'})
 
 
 @Rule(subject='bus',
@@ -581,14 +592,18 @@ def _faster_ways(case: Case, within_ns: float) -> Iterator[str]:
                     if one.instruction == Instruction.READ and 2 * one.missed < one.asked
                     and one.stamps[-1] - one.stamps[0] < within_ns * len(one.stamps))
     reads = max(alike.values(), default=0)
-    slow = max((one.latency.window.p50 for one in case.devices if one.latency.window),
-               default=0.0)
+    slow = max((one.latency.window.p50 for one in case.devices if one.latency.window
+                and one.latency.window.count >= RETURN_DELAY_MIN_ANSWERS), default=0.0)
     if reads >= SINGLE_READS_MIN and '1.0' not in case.report.protocol:     # it has no Sync Read
         yield (f'{reads} servos are read one by one, which is most of each cycle: use one Sync '
                'Read for all')
     elif slow > SLOW_ANSWER_MS:
-        yield ('most of each cycle is waiting for answers that do come: set the latency timer of '
-               'the adapter to 1 ms and Return Delay Time to 0')
+        times = case.report.cycle
+        is_of_servos = times is not None and slow < SERVO_DELAY_MAX_MS \
+            and times.device > GROUP_DELAY_FACTOR * slow
+        first = '' if is_of_servos else 'set the latency timer of the adapter to 1 ms, and '
+        yield f'most of each cycle is waiting for answers that do come: {first}write 0 to ' \
+            'Return Delay Time of the servos'
 
 
 RULES = (two_masters, impatient_master, late_answers, wrong_length, latency_timer, bus_too_slow,
