@@ -323,11 +323,10 @@ def torque_off(case: Case, device: DeviceReport) -> Found | None:
         return Claim('goals leave its position on both sides or repeatedly, and it '
                      f'does not move: {first}, or check its motor and what '
                      'blocks it', rests_on=_MOTION)
-    if device.model.protocol == '1' and place.value.raw >= AX_STEPS and _no_joint_moves(case):
-        return Claim('goals change, and no joint moves; its position '
-                     f'{place.value.raw} is beyond the {AX_STEPS - 1} of an AX: a Feetech servo '
-                     'has its goal at 42 and its position at 56; if it is an MX, write 1 to '
-                     'Torque Enable', rests_on=_MOTION)
+    if device.model.protocol == '1' and (why := _why_no_ax(case, place.value.raw)):
+        return Claim(f'goals change, and no joint moves; {why}: a Feetech servo has its goal at '
+                     '42 and its position at 56; if it is an AX or MX, write 1 to Torque Enable',
+                     rests_on=_MOTION)
     if may_hold or (
             torque is not None and torque.value.raw and not absences(case, device)):
         return None                    # it is on, so something holds it, or it is where it can be
@@ -498,15 +497,20 @@ def _others_move(case: Case, device: DeviceReport, samples: list[Sample]) -> boo
                >= GOAL_MOVES_STEPS for other in case.samples if other != device.id)
 
 
-def _no_joint_moves(case: Case) -> bool:
-    """Tell whether goals within the steps of an AX change all the time, and no joint moved yet."""
+def _why_no_ax(case: Case, place: float) -> str:
+    """Return what shows, where no joint moves by changing goals, that there is no AX; or ''."""
     driven = [samples for samples in case.samples.values() if len(samples) > STILL_MIN_REPORTS
               and span([one.goal for one in samples]) >= GOAL_MOVES_STEPS]
-    return len(driven) > 1 and all(
-        0 <= span([one.position for one in samples]) <= STILL_MAX_STEPS
-        and max(one.goal or 0 for one in samples) < AX_STEPS
-        and sum(one.goal != two.goal for one, two in pairwise(samples)) >= GOAL_CHANGES_MIN
-        for samples in driven)
+    if len(driven) < 2 or not all(
+            0 <= span([one.position for one in samples]) <= STILL_MAX_STEPS
+            and sum(one.goal != two.goal for one, two in pairwise(samples)) >= GOAL_CHANGES_MIN
+            for samples in driven):
+        return ''
+    if len({samples[-1].position for samples in driven}) == 1:
+        return f'each has the position {place}, as another register reads'
+    highest = max(one.goal or 0 for samples in driven for one in samples)
+    return f'its position {place} is beyond the {AX_STEPS - 1} of an AX' \
+        if place >= AX_STEPS > highest else ''
 
 
 def _is_ignored(samples: list[Sample], least: float, may_hold: bool) -> bool:
