@@ -5,9 +5,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import groupby
 from itertools import pairwise
 from math import isclose
 from math import tau
+from operator import itemgetter
 from operator import ne
 
 from msg_defs.diagnostics import Level
@@ -64,6 +66,10 @@ GOAL_CHANGES_MIN = 3               # after so many a joint that rests at its sto
 POSITION_CONTROL = 3               # a value of Operating Mode (e-Manual)
 GOALS_BEYOND_MIN = 2               # one may be a slip of a person
 WORD = 65_536
+LOAD_SIGN = 1024                   # the bit of a load of Feetech that is its sign; in 0.1 %
+LOAD_AT_REST = 100                 # who is held back by something pushes with more
+SHORT_MIN_REPORTS = 3              # at rest in so many: it is not on its way
+SHORT_MIN_STOPS = 2                # that it reached another goal between shows that it can move
 _RATES = 'Velocity', 'Current', 'PWM'
 _POSITION_LIMITS = 'Min Position Limit', 'Max Position Limit'
 _ANGLE_LIMITS = 'CW Angle Limit', 'CCW Angle Limit'    # with Protocol 1.0
@@ -97,8 +103,8 @@ def goal_limits(case: Case, device: DeviceReport) -> Found | None:
         return refusal
     values = case.values[device.id]
     is_feetech = device.model.protocol == FEETECH.protocol
-    if is_feetech and (swapped := _goals_swapped(case, device)):
-        return swapped
+    if is_feetech and (found := _goals_swapped(case, device) or _stops_short(case, device)):
+        return found
     for name in _RATES:
         if f'Goal {name}' in values and f'{name} Limit' in values \
                 and (beyond := _rate_beyond(name, values)):
@@ -230,6 +236,33 @@ def _clearly_swapped_goals(case: Case, device: DeviceReport) -> dict[float, floa
         if one.goal > top and swapped >= BYTE:         # whole turns, swapped, are small numbers
             clear[one.goal] = swapped
     return clear
+
+
+def _stops_short(case: Case, device: DeviceReport) -> Found | None:
+    """Look for a joint that stops before its goals again and again, and does not push there."""
+    load = case.values[device.id].get('Present Load')
+    if load is None or load.source != 'r' or load.age_s > STOPPED_MIN_S \
+            or load.value.raw % LOAD_SIGN > LOAD_AT_REST or device.window.alerts:
+        return None
+    stops: list[tuple[float, float]] = []
+    reached = False
+    since = case.stamp_ago(load.age_s)
+    known = [(one.goal, one.position) for one in case.samples.get(device.id, ())
+             if one.goal is not None and one.position is not None and one.stamp < since]
+    for goal, many in groupby(known, key=itemgetter(0)):
+        places = [place for _, place in many]
+        reached |= any(_is_at(goal, place) for place in places)
+        rest = places[-SHORT_MIN_REPORTS:]
+        if len(rest) == SHORT_MIN_REPORTS and span(rest) <= STILL_MAX_STEPS \
+                and abs(goal - rest[-1]) > GOAL_FAR_STEPS:
+            stops.append((goal, rest[-1]))
+    if len(stops) < SHORT_MIN_STOPS or not reached or known[-1][0] != stops[-1][0]:
+        return None
+    goal, place = stops[-1]
+    return Claim(f'stops at {place:.0f} on its way to {goal:.0f}, as before, and does not push '
+                 f'there (load {load.value.raw % LOAD_SIGN / 10:.0f} %): it has a limit there; '
+                 'read Min and Max Position Limit, set wider ones or keep goals within them',
+                 {'stops': len(stops)})
 
 
 def _goals_held_back(case: Case, device: DeviceReport, names: tuple[str, str], low: float,
