@@ -445,7 +445,7 @@ def dropout(case: Case, device: DeviceReport) -> Found | None:
                      f'{max(one.detail.ms for one in alike)} ms, others were not: check '
                      f'{_before(case, together)}, and their supply; read Torque Enable to see '
                      'whether they restarted',
-                     {'absences': len(gaps), 'longest (ms)': away})
+                     {'absences': len(gaps), 'longest (ms)': away}, covers=tuple(together))
     after, before = _neighbours(case, device)
     where = '' if before is None else f' between {before:03} and {device.id:03}'
     unserved = f', and {first_ids(after, 2)} after it not served' if after else ''
