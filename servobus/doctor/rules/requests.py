@@ -80,6 +80,8 @@ FAST_READS = (Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ)
 GROUP_READS = (Instruction.SYNC_READ, Instruction.BULK_READ)
 GROUP_READS_MIN = 5                # unanswered, and as many other answers: no loss by chance
 MISSED_ALIKE_MIN_SHARE = 0.9       # share of the missed: a bad plug loses all instructions
+COLLIDE_MIN_SHARE = 0.7            # share of the group reads in which an answer is damaged
+LOST_MAX_SHARE = 0.2               # share of these that another one misses: no cable of all
 HAVE_SYNC_READ = ('STS', 'SMS', 'HLS')
 NO_BULK_READ = ('AX', 'RX', 'EX', 'DX')
 # Model numbers, and the firmware from which they know fast reads: MX(2.0) never.
@@ -736,6 +738,31 @@ def _claim_unanswered(cycle: Cycle, device: DeviceReport) -> Claim:
                  covers=cycle.ids[at + 1:], device=device.id)
 
 
+@Rule(symptoms={'unanswered group reads'},
+      accounts_for={*SILENCE, *DAMAGE, 'late answers', 'slow cycle', 'absence of several'})
+def group_read_collides(case: Case) -> Claims:
+    """
+    Two answer single instructions, and collide in each Sync Read or Bulk Read: one is out of turn.
+
+    Do: read it by single Reads; let it answer after the status of the one before it.
+    """
+    for cycle in case.cycles:
+        if cycle.instruction in GROUP_READS and cycle.asked >= GROUP_READS_MIN:
+            members = [case.by_id[number] for number in cycle.ids if number in case.by_id]
+            hit = [one for one in members
+                   if one.totals.spoilt >= COLLIDE_MIN_SHARE * cycle.asked
+                   and one.window.answers - one.window.pongs >= GROUP_READS_MIN]
+            missed = [one.totals.missed for one in members if one not in hit]
+            if len(hit) == 2 and max(missed, default=cycle.asked) < LOST_MAX_SHARE * cycle.asked:
+                first, last = (one.id for one in hit)
+                yield Claim(f'{first:03} and {last:03} answer single instructions, and collide in '
+                            f'each {name_of(cycle.instruction)}: one does not wait for its turn; '
+                            f'read {last:03} by single Reads, or let its firmware answer after '
+                            'the status of the one before it',
+                            {name_of(cycle.instruction): cycle.asked}, covers=(first, last),
+                            device=last)
+
+
 def _may_come_late(case: Case, device: DeviceReport) -> bool:
     """Tell whether the program may give up, or throw away, answers that do come."""
     return device.window.spoilt > 0 \
@@ -745,4 +772,5 @@ def _may_come_late(case: Case, device: DeviceReport) -> bool:
 RULES = (rate_refused, port_lost, port_reopened, line_mode, unread_answers, wrong_packets,
     eeprom_locked, wrong_address, refused, impossible_id, master_stopped, scan,
     models, eeprom_wear, fast_read_unsupported, sync_read_unsupported, group_read_unanswered,
+    group_read_collides,
     unstuffed, no_acks, never_written, no_action)
