@@ -242,7 +242,8 @@ def _stops_short(case: Case, device: DeviceReport) -> Found | None:
     """Look for a joint that stops before its goals again and again, and does not push there."""
     load = case.values[device.id].get('Present Load')
     if load is None or load.source != 'r' or load.age_s > STOPPED_MIN_S \
-            or load.value.raw % LOAD_SIGN > LOAD_AT_REST or device.window.alerts:
+            or load.value.raw % LOAD_SIGN > LOAD_AT_REST or device.window.alerts \
+            or raw_value(case, device, 'Torque Enable') == 0:
         return None
     stops: list[tuple[float, float]] = []
     reached = False
