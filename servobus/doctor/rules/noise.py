@@ -28,6 +28,7 @@ from msg_defs.units import NS_PER_S
 from servobus.bus import evidence as ev
 from servobus.bus import report as words
 from servobus.bus.report import DeviceReport
+from servobus.bus.report import IdWrite
 from servobus.doctor.bit_errors import cut_packets
 from servobus.doctor.bit_errors import expected_packets
 from servobus.doctor.bit_errors import TWO_SENDERS
@@ -299,46 +300,59 @@ def id_write(case: Case) -> Claims:
 
     Do: connect one servo, write one byte; write 0 to Lock before (Feetech).
     """
-    for number, ids, stamp, baud, is_locked, back in case.report.id_writes:
-        new = case.by_id.get(number)
-        gone = [one for one in ids if one in case.by_id and case.by_id[one].missed_in_a_row
-                and _heard_at(case, one) <= stamp]
-        collide = new is not None and _two_answer_at_once(case, new)
-        if len(ids) > 1:
-            if collide or (len(gone) > 1 and sum(
-                    case.by_id[one].missed_in_a_row for one in gone) >= INCIDENTS_MIN):
-                lost = gone if len(gone) > 1 else ids
-                yield Claim(f'a Write to all (ID {BROADCAST}) gave {first_ids(lost, 3)} the ID '
-                            f'{number:03}: they talk at once; connect one at a time and give '
-                            'each its own ID', covers=(*lost, number))
-        elif collide:
-            yield Claim(f'its answers collide since {ids[0]:03} was given this ID: two devices '
-                        f'had the ID {ids[0]:03}, or another one had this; unplug one, give the '
-                        'other its own ID', covers=ids, device=number)
-        elif new is None or new.missed_in_a_row < INCIDENTS_MIN:
-            continue
-        elif baud >= 0 and not back and _heard_at(case, number) <= stamp:
-            yield Claim(f'never heard: the Write that gave {ids[0]:03} this ID went on into its '
-                        f'Baud Rate (code {baud}), so it is at another rate; write the ID as one '
-                        'byte, look for it at other rates', covers=ids, device=number)
-        elif back > _heard_at(case, number) > stamp:
-            of_lock = '' if case.report.protocol == words.PROTOCOL_2 else \
-                ', with 0 in Lock before it and 1 after it (Feetech)'
-            yield Claim(f'silent, and {ids[0]:03}, which was given this ID, answers again: unless '
-                        'that is another servo, the ID was lost when its power was off; write it '
-                        f'again with its torque off{of_lock}', level=Level.WARN, device=number)
-        elif is_locked and _heard_at(case, number) > stamp and not back \
-                and FEETECH.name in new.protocol:
-            yield Claim(f'silent; {ids[0]:03} was given this ID without 0 in Lock before, so it '
-                        'has its old ID again if its power was off, or it lost its cable; ping '
-                        f'{ids[0]:03}: if it answers, write 0 to Lock (55), {number} to ID (5), '
-                        '1 to Lock', level=Level.WARN, device=number)
+    for write in case.report.id_writes:
+        found = _writes_to_all(case, write) if len(write.ids) > 1 else _write_to_one(case, write)
+        if found is not None:
+            yield found
 
 
-def _two_answer_at_once(case: Case, device: DeviceReport) -> bool:
+def _writes_to_all(case: Case, write: IdWrite) -> Claim | None:
+    lost = [one for one in write.ids if one in case.by_id and case.by_id[one].missed_in_a_row
+            and _heard_at(case, one) <= write.stamp]
+    is_lost = len(lost) > 1 and sum(case.by_id[one].missed_in_a_row for one in lost) \
+        >= INCIDENTS_MIN
+    if not (is_lost or _two_answer_at_once(case, write.number)):
+        return None
+    who = lost if is_lost else write.ids
+    return Claim(f'a Write to all (ID {BROADCAST}) gave {first_ids(who, 3)} the ID '
+                 f'{write.number:03}: they talk at once; connect one at a time and give '
+                 'each its own ID', covers=(*who, write.number))
+
+
+def _write_to_one(case: Case, write: IdWrite) -> Claim | None:
+    number, (old,) = write.number, write.ids
+    if _two_answer_at_once(case, number):
+        return Claim(f'its answers collide since {old:03} was given this ID: two devices '
+                     f'had the ID {old:03}, or another one had this; unplug one, give the '
+                     'other its own ID', covers=write.ids, device=number)
+    new = case.by_id.get(number)
+    if new is None or new.missed_in_a_row < INCIDENTS_MIN:
+        return None
+    heard = _heard_at(case, number)
+    if write.baud >= 0 and not write.back and heard <= write.stamp:
+        return Claim(f'never heard: the Write that gave {old:03} this ID went on into its '
+                     f'Baud Rate (code {write.baud}), so it is at another rate; write the ID as '
+                     'one byte, look for it at other rates', covers=write.ids, device=number)
+    if write.back > heard > write.stamp:
+        of_lock = '' if case.report.protocol == words.PROTOCOL_2 else \
+            ', with 0 in Lock before it and 1 after it (Feetech)'
+        return Claim(f'silent, and {old:03}, which was given this ID, answers again: unless '
+                     'that is another servo, the ID was lost when its power was off; write it '
+                     f'again with its torque off{of_lock}', level=Level.WARN, device=number)
+    if write.is_locked and heard > write.stamp and not write.back \
+            and FEETECH.name in new.protocol:
+        return Claim(f'silent; {old:03} was given this ID without 0 in Lock before, so it '
+                     'has its old ID again if its power was off, or it lost its cable; ping '
+                     f'{old:03}: if it answers, write 0 to Lock (55), {number} to ID (5), '
+                     '1 to Lock', level=Level.WARN, device=number)
+    return None
+
+
+def _two_answer_at_once(case: Case, number: int) -> bool:
     """Tell whether most answers of a device are those of two at once."""
-    window = device.window
-    return window.spoilt >= INCIDENTS_MIN and 2 * window.spoilt > window.asked \
+    device = case.by_id.get(number)
+    return device is not None and device.window.spoilt >= INCIDENTS_MIN \
+        and 2 * device.window.spoilt > device.window.asked \
         and case.damage_picture(device).get('looks like', '').startswith(TWO_SENDERS)
 
 
