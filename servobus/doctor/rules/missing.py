@@ -65,7 +65,6 @@ TOGETHER_KEPT = 16                 # the last of these times
 MISSED_MIN_SHARE = 0.01            # share of its answers; fewer are lost on a healthy bus too
 LATE_MIN_SHARE = 0.1               # share of its answers; fewer are late by chance
 ACKS_MISSED_LIMIT = 4              # as `missed_limit`
-_OF_THE_MASTER = ", and that the program uses the servos' baud rate, protocol and ID"
 
 
 # --- nothing answers -----------------------------------------------------------------------------
@@ -153,10 +152,16 @@ def all_silent(case: Case) -> Claims:
         alone = '' if first is None else f'; or {first:03} is dead and the others wait for it'
         hint = '' if case.has_sides else '; or only the master is heard'
         yield Claim(f'none of {len(missing)} devices answers the master: check power and '
-                    f'first cable{_OF_THE_MASTER if is_new else alone}{hint}', figures)
+                    f'first cable{_of_the_program(case) if is_new else alone}{hint}', figures)
     elif not case.report.is_answered and _asks_in_vain(case):
         yield Claim('not one byte comes back to the program: check power and first cable'
-                    f'{_OF_THE_MASTER}', figures)
+                    f'{_of_the_program(case)}', figures)
+
+
+def _of_the_program(case: Case) -> str:
+    """Return what a program may have set wrongly, with what it uses."""
+    used = ', '.join(filter(None, (f'{case.report.baud} Bd', case.report.protocol)))
+    return f", and that the program uses the servos' baud rate, protocol and ID ({used})"
 
 
 def _asks_in_vain(case: Case) -> bool:
@@ -271,7 +276,7 @@ def _no_answer_claim(case: Case, number: int) -> Claim:
         return Claim(f'{first_ids(together, 3)} fell silent together, others answer: check '
                      f'{_before(case, together)}, and their supply', figures, device=number)
     what = 'cable and ID' if device.last_heard_s is not None else 'cable, ID and baud rate' if any(
-        other.totals.answers for other in case.devices) else f'cable and ID{_OF_THE_MASTER}'
+        other.totals.answers for other in case.devices) else f'cable and ID{_of_the_program(case)}'
     return Claim(f'no answer, {since}{others}: check its power, {what}', figures, device=number)
 
 

@@ -35,6 +35,7 @@ from servobus.doctor.bit_errors import TWO_SENDERS
 from servobus.doctor.case import Case
 from servobus.doctor.facts import count_early_ends
 from servobus.doctor.facts import count_early_reads
+from servobus.doctor.facts import CRC_ERROR
 from servobus.doctor.facts import is_collision
 from servobus.doctor.facts import is_overlaid
 from servobus.doctor.facts import may_overlap
@@ -693,7 +694,8 @@ def _noise_claims(case: Case) -> Claims:
             or case.damage_s < DAMAGE_ONSET_S:
         return
     hit = [device.id for device in case.devices if device.window.spoilt]
-    asked = _asked_damaged(case)
+    asked = _asked_damaged(case) + sum(        # some of them only a servo saw
+        one.detail.error == CRC_ERROR for one in case.incidents(ev.REFUSED))
     both_ways = asked >= BOTH_WAYS_MIN_SHARE * case.damage
     if not both_ways and _most_hit(case) is not None:
         return
@@ -716,7 +718,8 @@ def _noise_claims(case: Case) -> Claims:
                     step=f'{STOP_OTHERS}: what is damaged then is interference')
         return
     yield Claim(f'{share_of} of the packets damaged, {way}, of '
-                'several devices: check termination, ground, shielding and motor cables',
+                'several devices: check termination, ground, shielding and motor cables; try a '
+                'lower baud rate',
                 {**picture,
                  'share': share(case.damage, packets + case.damage),
                  'damaged instructions': asked,

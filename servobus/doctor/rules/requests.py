@@ -272,8 +272,8 @@ def wrong_packets(case: Case) -> Claims:
     elif report.has_sides and ev.MALFORMED in case.incidents_by_kind \
             and case.count(ev.MALFORMED) >= INCIDENTS_MIN:
         code, size = case.incidents(ev.MALFORMED)[-1].detail
-        yield Claim(f'{name_of(code)} with {size} parameter bytes makes no sense: its Length or '
-                    'its data are wrong, and the next packet is lost with it; correct the program',
+        yield Claim(f'{name_of(code)} with {size} parameter bytes makes no sense: its Length, or '
+                    'the size that it gives for each device, is wrong; correct the program',
                     level=Level.WARN)
     elif report.has_sides and not report.is_answered and report.counters['Packet Bytes'] == 0 \
             and report.counters['Noise Bytes'] >= SENT_MIN_BYTES:      # not one that may be whole

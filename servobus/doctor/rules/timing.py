@@ -476,7 +476,9 @@ def return_delay(case: Case, device: DeviceReport) -> Found | None:
     """
     register = case.values[device.id].get('Return Delay Time')
     low, high = RETURN_DELAY_MS
-    delay_ms, how, source = _measured_ms(device), 'reply latency', 'measured'
+    # What a program measures has the delays of its computer in it.
+    delay_ms = 0.0 if case.has_sides else _measured_ms(device)
+    how, source = 'reply latency', 'measured'
     if register is not None and register.value.number is not None:
         delay_ms, how, source = 1000 * register.value.number, 'Return Delay Time', 'yes'
         high = inf
