@@ -76,10 +76,10 @@ WIRE = Wire('bus', BAUD)
 
 
 @cache
-def heard(*faults, seconds=6.0, devices=DEVICES):
+def heard(*faults, seconds=6.0, devices=DEVICES, pattern='sync'):
     """Return a run on the simulated bus as chunks."""
     line = Line(make_devices(list(devices), MODELS, BAUD), BAUD, waits_in_line=False)
-    master = Master(line, PATTERNS['sync'], rate=50, faults=[parse(text) for text in faults])
+    master = Master(line, PATTERNS[pattern], rate=50, faults=[parse(text) for text in faults])
     return tuple(Chunk(SECOND + burst.end, 'bus', burst.data)
                  for burst in master.bursts(int(seconds * SECOND)) if burst.data)
 
@@ -458,6 +458,16 @@ while not select.select([sys.stdin], [], [], 0)[0]:
     port.write(bytes((255, 255, 1, 2, 1, 251)))
     port.read(6)
 """
+
+
+@pytest.mark.parametrize(('fault', 'shown', 'denied'), [
+    ('silent:4:2', 'XL430-W250, firmware 48: no valid answer', 'disconnected'),
+    ('factory_id:4', 'several servos answer as 001', 'packets overlap'),
+    ('no_ack:4', 'Advice, no error:', 'Wrong:')])
+def test_no_part_of_a_screen_denies_another(fault, shown, denied):
+    chunks = heard(fault, devices=('1-6:XL430-W250',), pattern='moving')
+    text = '\n'.join(screen(said(chunks, devices=()), height=None))
+    assert (shown in text, denied in text) == (True, False)
 
 
 def test_what_is_said_meanwhile_has_been_so_for_a_while():

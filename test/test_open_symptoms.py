@@ -157,8 +157,9 @@ def test_where_something_fails_for_sure_the_doubts_follow_from_it():
 
 def test_what_a_warning_accounts_for_is_no_doubt_any_more():
     foreign = Finding('foreign_answers', Level.WARN, 3, 'another master')
-    verdict = verdict_of(heard(used(0), doubts=(OVERLAP,)), foreign)
+    verdict = verdict_of(heard(used(0), doubts=(OVERLAP, UNKNOWN)), foreign)
     assert (verdict.code, verdict.not_sure, len(verdict.unknown)) == (WARNING, [], 1)
+    assert 'packets overlap' not in verdict.unknown[0]
 
 
 @pytest.mark.parametrize(('findings', 'is_open', 'text'), [
@@ -191,5 +192,5 @@ def test_the_next_step_is_never_cut(width, warnings):
 def test_advice_comes_after_what_is_not_sure():
     advice = Finding('stray_bytes', Level.OK, None, 'add bias resistors')
     lines = screen(verdict_of(heard(used(0), doubts=(OVERLAP,)), advice))
-    assert lines.index('Not sure:') < lines.index('Advice:')
+    assert lines.index('Not sure:') < lines.index('Advice, no error:')
     assert not any('Nothing wrong' in line for line in lines)

@@ -29,9 +29,9 @@ _LOST = (words.DISCONNECTED, words.EXPECTED)
 SEARCH_PINGS_MAX = 2                      # an ID that is only searched for gets so many
 _NAMED_MAX = 5                     # lost devices in the message of a bus
 # What a list of devices says of some states.
-LISTED_AS = {words.CONNECTED: 'answers', words.DISCONNECTED: 'no answer heard',
-             words.EXPECTED: 'expected, never heard',
-             words.ASKED: 'asked, never heard', words.SILENT: 'not asked at present'}
+LISTED_AS = {words.CONNECTED: 'answers', words.EXPECTED: 'expected, never heard',
+             words.ASKED: 'asked, never heard', words.SILENT: 'not asked at present',
+             words.DISCONNECTED: 'no valid answer', words.WAITING: 'asked, not served'}
 
 
 def judge_states(report: BusReport, settings: Settings, names: Names) -> BusReport:

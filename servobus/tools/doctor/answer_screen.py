@@ -97,7 +97,7 @@ def _found(verdict: Verdict, form: _Format) -> list[str]:
     advice = [one for one in verdict.wrong if one.level is Level.OK]
     lines = [*_entries('Wrong:', wrong, 1, form), *_not_sure(verdict.not_sure, form)]
     return [*(lines or [form.paint('Nothing wrong that listening can find', GREEN)]),
-            *_entries('Advice:', advice, len(wrong) + 1, form)]
+            *_entries('Advice, no error:', advice, len(wrong) + 1, form)]
 
 
 def _not_sure(points: Sequence[OpenPoint], form: _Format) -> list[str]:

@@ -119,10 +119,11 @@ def make_verdict(source: str, buses: Sequence[BusSummary], seconds: float, is_ti
     port = next(iter(ports), '') or source.removeprefix('usb:')
     device = port if port.startswith('/dev/') else PORT
     for bus in buses:
-        doubts = [one for one in bus.report.doubts if is_timed or one.rule not in NEEDS_TIMES]
         found = [one.finding for one in bus.logged]
+        doubts = [one for one in bus.report.doubts if (is_timed or one.rule not in NEEDS_TIMES)
+                  and not (one.step and any(accounts_for(cause, one) for cause in found))]
         steps = [one for one in doubts if one.step and not any(
-            cause.level is Level.ERROR or accounts_for(cause, one) for cause in found)]
+            cause.level is Level.ERROR for cause in found)]
         left = open_symptoms(bus.report, [*found, *steps])
         unknown += [f'{one.rule.replace("_", " ")}, {bus.who(one.device)}: {one.message}'
                     for one in doubts if one not in steps]
