@@ -848,6 +848,28 @@ def test_the_devices_of_a_report_are_of_its_buses(tmp_path):
         'bus1/4:XL430-W250:wrist', '5:XL430-W250']
 
 
+@pytest.mark.parametrize(('text', 'plain'), [
+    (f"Could not connect on port '{BY_ID}'.", "Could not connect on port 'a port'."),
+    ('[Errno 2] could not open port /dev/ttyUSB0: [Errno 2]',
+     '[Errno 2] could not open port ttyUSB0: [Errno 2]'),
+    ("No such file: '/home/me/my arm/follower.json'", "No such file: 'a path'"),
+    (r'C:\Users\me\arm.py: no', 'a path: no'), ('see ~/arm/a.log.', 'see a path.'),
+    ("pos/speed/load, 1/fps: b'\\xff\\xfd'", "pos/speed/load, 1/fps: b'\\xff\\xfd'"),
+    (f'on {socket.gethostname()}', 'on ...')])
+def test_the_error_of_a_program_in_a_report_names_nobody(text, plain):
+    assert machine.plain_text(text) == plain
+
+
+@pytest.mark.realtime(bears=0.02)
+def test_a_report_has_the_error_of_the_program(meeting_place, tmp_path):
+    path = tmp_path / 'report.txt'
+    error = "ConnectionError('motor check failed on port /home/me/bus: Missing motor IDs:')"
+    doctor('--report', path, 'run', '--', sys.executable, '-c', RAISES.format(error=error),
+           env={'XDG_RUNTIME_DIR': meeting_place, 'PYTHONPATH': str(ROOT)})
+    assert 'error of the program: ConnectionError: motor check failed on port a path: Missing ' \
+        'motor IDs:\n' in path.read_text()
+
+
 def test_with_host_it_does(tmp_path):
     path = tmp_path / 'report.txt'
     doctor('--report', path, '--with-host', capture(tmp_path / 'my-bus.txt'))

@@ -245,6 +245,9 @@ class _DoctorRun:
         verdict = make_verdict(machine.plain_name(options.source, bool(self._command)), shown,
                                seconds, is_timed, [] if self._examination.bytes else [NOTHING])
         about = [*machine.system(), *machine.adapters(ports, options.with_host)]
+        if self._program is not None and (error := self._program.ending.error):
+            about.append('error of the program: '
+                         + (error if options.with_host else machine.plain_text(error)))
         if options.with_host:
             about += machine.personal(options.source, self._command)
         text = make_report(verdict, shown, seconds, about, new_devices(options.devices, names),

@@ -29,6 +29,9 @@ from servobus.sources.source_name import PREFIXES
 
 _PACKAGES = ('mecarover_serial', 'dxl-doctor', 'pyserial', 'crcmod-plus', 'dynamixel-sdk',
              'feetech-servo-sdk', 'lerobot', 'pypot')
+# An absolute path, in quotes or up to what ends a word; an escape of bytes is none.
+_PATH = re.compile(r"""(['"])((?:[A-Za-z]:\\|~?/).*?)\1"""
+                   r"""|(?<![\w.])((?:[A-Za-z]:\\|~?/)[^\s'",;()\[\]]*[^\s'",;:()\[\].])""")
 _NUMBERED = re.compile(r'[/\\](tty(?:[A-Z]{1,5}|mxc)\d{1,3}|pts/\d+|COM\d+)$')
 
 
@@ -64,6 +67,21 @@ def _plain_port(port: str) -> str:
     """Return the name of a port that is no secret; a link to one that has gone leads nowhere."""
     name = _NUMBERED.search(os.path.realpath(port))
     return name[1] if name else 'a port'
+
+
+def plain_text(text: str) -> str:
+    """Return a text without paths, serial numbers, host and user name."""
+    def plain(found: re.Match[str]) -> str:
+        path = found[2] or found[3]
+        quote = found[1] or ''
+        return quote + (_plain_port(path) if path.startswith('/dev/') else 'a path') + quote
+
+    text = _PATH.sub(plain, text)
+    for name in {socket.gethostname(), os.path.basename(os.path.expanduser('~')),
+                 *(one.serial_number for one in list_ports.comports())}:
+        if name:
+            text = re.sub(rf'(?<!\w){re.escape(name)}(?!\w)', '...', text)
+    return text
 
 
 def adapters(ports: Sequence[str], with_serial_number: bool) -> list[str]:
