@@ -39,6 +39,19 @@ def test_a_right_packet_is_read(text, meaning):
     assert (code, lines[0].rpartition(': ')[2], lines[1:], errors) == (0, 'right', [meaning], [])
 
 
+@pytest.mark.parametrize(('text', 'meaning'), [
+    ('FF FF FE 07 82 38 02 01 02 03 38', '> all Sync Read 1-3: 2 at 56'),
+    ('FF FF 01 02 24 D8', '< 001 Status error: overheating (bit 2), overload (bit 5)  (?)'),
+    ('FF FF 01 05 00 24 04 30 A1', '< 001 Status 24 04 30  (?)'),
+    (encode(1, 0x55, b'\x24\x04\x30', error=0).hex(' '),
+     '< 001 Status XL430-W250, firmware 48  (?)'),
+    (encode(1, 0x55, b'\xff\xfe\x30', error=0x80).hex(' '), '< 001 Status alert: see Hardware '
+     'Error Status; unknown model 65279, firmware 48  (?)')])
+def test_a_packet_without_what_was_before_it_is_read(text, meaning):
+    code, lines, errors = check(text)
+    assert (code, lines[1:], errors) == (0, [meaning], [])
+
+
 @pytest.mark.parametrize(('text', 'problem', 'right'), [
     ('FF FF 01 04 02 38 02 BF', 'checksum is BF, must be BE', READ_1),
     ('FF FF 01 04 02 38 02 41', 'checksum is 41, must be BE: it is the sum, not inverted', READ_1),

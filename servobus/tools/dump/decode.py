@@ -22,7 +22,6 @@ from servobus.tools.dump.listing import Listing
 
 LAYOUTS_MAX = 1024
 DATA_MAX_BYTES = 1024              # bytes of data: more do not fit into a packet
-_PING_DATA = 3
 _NOTHING = Table()
 
 
@@ -42,14 +41,6 @@ class Part(NamedTuple):
     fields: tuple[Field, ...]
     values: tuple[Value, ...]
     error: int = 0
-
-
-class PingAnswer(NamedTuple):
-    """The answer to a Ping."""
-
-    model_number: int
-    model_name: str                # '' if there is no such model
-    firmware: int
 
 
 Layout = tuple[tuple[Field, tuple[int, ...]], ...]     # a field, and where its bytes are
@@ -74,16 +65,6 @@ def parts_of(entry: Entry, listing: Listing) -> list[Part]:
     return [_part(listing, access, packet.params) for access in accesses
             if access.id == packet.id and access.data is None
             and access.length == len(packet.params)]
-
-
-def identity_of(entry: Entry) -> PingAnswer | None:
-    """Return what the answer to a Ping says, None for anything else."""
-    packet = entry.packet
-    if packet is None or packet.error is None or entry.request.accesses \
-            or entry.notes or len(packet.params) != _PING_DATA:
-        return None
-    name = '' if entry.device is None else entry.device.model.known_name
-    return PingAnswer(packet.params[0] | packet.params[1] << 8, name, packet.params[2])
 
 
 def _part(listing: Listing, access: Access, data: bytes | None, error: int = 0) -> Part:

@@ -9,12 +9,11 @@ from typing import Any
 from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_packet import Packet
 from servobus.bus.evidence import text_of
-from servobus.tools.dump.decode import identity_of
 from servobus.tools.dump.decode import Part
 from servobus.tools.dump.listing import Entry
 from servobus.tools.dump.listing import NO_REQUEST
-from servobus.tools.dump.text_format import error_words
 from servobus.tools.dump.text_format import packet_name
+from servobus.tools.dump.text_format import status_error
 
 DECIMALS = 9                       # finer than any register
 
@@ -34,10 +33,9 @@ def json_line(bus: str, stamp_us: int, packet: Packet, entry: Entry, parts: Sequ
         record['answer_to'] = name_of(entry.request.instruction)
         record['sure'] = entry.is_sure
     if packet.error:
-        record['error_text'] = error_words(packet.error)
-    identity = identity_of(entry)
-    if identity is not None:
-        record['identity'] = identity._asdict()
+        record['error_text'] = status_error(packet, entry)
+    if entry.identity is not None:
+        record['identity'] = entry.identity._asdict()
     if entry.request.option and packet.error is None:
         record['option'] = entry.request.option
     if parts:

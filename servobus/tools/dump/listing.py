@@ -21,6 +21,7 @@ from msg_defs.dxl_instruction import split_combined
 from msg_defs.dxl_packet import body_crc
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import fast_wire
+from msg_defs.dxl_packet import HEADER
 from msg_defs.dxl_packet import Packet
 from msg_defs.dxl_packet import packet_of
 from msg_defs.dxl_packet import STATUS
@@ -39,6 +40,7 @@ from servobus.bus.device import Device
 from servobus.bus.instruction_plans import NO_PLAN
 from servobus.bus.plan import Plan
 from servobus.bus.report import Incident
+from servobus.model.layers import model_key
 from servobus.model.models import Models
 from servobus.sources.source_name import DEFAULT_BAUD
 
@@ -51,7 +53,17 @@ NO_REQUEST = NO_PLAN.request
 
 _STATUS_INCIDENTS = (ev.UNASKED, ev.LATE, ev.SECOND_ANSWER, ev.WRONG_SIZE, ev.BAD_ID)
 _CRC_SIZE = 2
+_PING_DATA = 3                             # bytes: model number, firmware
+_PING_FRAME_1 = 9                          # a status of 1.0 with as many: no answer to a Ping
 _LAST_OFFSET = 1 << 62                     # a stream offset after every other
+
+
+class PingAnswer(NamedTuple):
+    """The answer to a Ping in Protocol 2.0."""
+
+    model_number: int
+    model_name: str                # '' if there is no such model
+    firmware: int
 
 
 class Entry(NamedTuple):
@@ -77,6 +89,12 @@ class Entry(NamedTuple):
     side: str = UNKNOWN                    # who put it on the wire, where that is known
     wire: bytes = b''                      # its bytes on the wire
     before: bytes = b''                    # bytes in front of it that are no packet
+    identity: PingAnswer | None = None
+
+    @property
+    def is_2(self) -> bool:
+        """Whether a packet is one of Protocol 2.0."""
+        return HEADER[2:] in self.wire[:len(HEADER)]
 
 
 class _RecentBytes:
@@ -111,6 +129,7 @@ class Listing(BusDecoder):
                  settings: Settings = DEFAULTS, is_timed: bool = True,
                  is_plain: bool = False) -> None:
         super().__init__(models, settings)
+        self._models = models
         self._is_timed = is_timed
         self._is_plain = is_plain
         self._on_entry = on_entry
@@ -201,9 +220,16 @@ class Listing(BusDecoder):
                 wire = fast_wire(packet.error, packet.params)
                 wire += body_crc(wire).to_bytes(_CRC_SIZE, 'little')
                 blocks = tuple(split_combined(wire, request.accesses))
+        identity = None
+        if packet.error is not None and not (request.accesses or notes) \
+                and len(packet.params) == _PING_DATA and frame[1] - frame[0] > _PING_FRAME_1:
+            number, firmware = packet.params[0] | packet.params[1] << 8, packet.params[2]
+            model = self._models.get(model_key(number), firmware)
+            identity = PingAnswer(number, model.name if model else '', firmware)
         is_sure = packet.error is None or not self.tracker.is_doubtful
         self._enter(PACKET, side, frame[0], frame[1], packet=packet, request=request,
-                    device=self.device(packet.id), blocks=blocks, notes=notes, is_sure=is_sure)
+                    device=self.device(packet.id), blocks=blocks, notes=notes, is_sure=is_sure,
+                    identity=identity)
 
     def _enter(self, kind: str, side: str, begin: int, end: int, **facts: Any) -> None:
         """Hand on what is between these offsets of a side; facts: the other fields of Entry."""

@@ -63,7 +63,8 @@ def check_packets(data: bytes, settings: Settings, models: Models) -> tuple[bool
 def check_packet(packet: bytes, settings: Settings, models: Models) -> tuple[bool, list[str]]:
     """Return whether a packet is right, and the lines about it."""
     is_2 = packet.startswith(HEADER)
-    family = 'Protocol 2.0' if is_2 else 'Protocol 1.0 or Feetech'
+    is_feetech = not is_2 and packet[4:5] == bytes((Instruction.SYNC_READ,))
+    family = 'Protocol 2.0' if is_2 else 'Feetech' if is_feetech else 'Protocol 1.0 or Feetech'
     if not packet.startswith(b'\xff\xff'):
         return False, ['a packet begins with FF FF FD 00 (Protocol 2.0) or FF FF (Protocol 1.0, '
                        'Feetech)']
@@ -78,7 +79,8 @@ def check_packet(packet: bytes, settings: Settings, models: Models) -> tuple[boo
     lines = [f'{family}, {len(packet)} bytes: {"wrong" if problems else "right"}', *problems]
     if problems:
         lines.append(f'right: {right.hex(" ").upper()}')
-    given = settings.protocol if settings.protocol not in ('auto', '2') else '1'
+    given = 'feetech' if is_feetech else settings.protocol \
+        if settings.protocol not in ('auto', '2') else '1'
     settings = settings._replace(protocol='2' if is_2 else given)
     return not problems, lines + _meaning(right, settings, models)
 

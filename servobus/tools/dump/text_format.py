@@ -9,18 +9,18 @@ Pure. 'Goal Position 1.5708 rad' where the model is known, '4 at 116: 00 08 00 0
 from collections.abc import Sequence
 from itertools import groupby
 
+from msg_defs.dxl1_instruction import error_text as bits_text
+from msg_defs.dxl1_instruction import UNDECIDED
 from msg_defs.dxl_instruction import ALERT
 from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import error_text
 from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_instruction import NAMES
-from msg_defs.dxl_packet import HEADER
 from msg_defs.dxl_packet import Packet
 from msg_defs.dxl_packet import STATUS
 from msg_defs.frame import OPEN
 from servobus.bus.evidence import text_of
 from servobus.bus.expected import spans
-from servobus.tools.dump.decode import identity_of
 from servobus.tools.dump.decode import Part
 from servobus.tools.dump.listing import Entry
 
@@ -41,6 +41,16 @@ def error_words(error: int) -> str:
     if error & ALERT:
         words.append('alert: see Hardware Error Status')
     return '; '.join(words)
+
+
+def status_error(packet: Packet, entry: Entry) -> str:
+    """Return what the error byte of a status means; of the 1.0 family each bit of it."""
+    if entry.is_2:
+        return error_words(packet.error or 0)
+    error = sum(entry.wire[-2 - len(packet.params):][:1])
+    dialect = (entry.device.dialect if entry.device is not None else None) or UNDECIDED
+    return 'error: ' + ', '.join(f'{bits_text(1 << bit, dialect)} (bit {bit})'
+                                 for bit in range(8) if error >> bit & 1)
 
 
 def packet_name(packet: Packet) -> str:
@@ -69,11 +79,10 @@ def answer_words(packet: Packet, entry: Entry, parts: Sequence[Part]) -> str:
     """Return what a status says, its error first; (?): damage may hide what it answers."""
     words = [text_of(incident) for incident in entry.notes]
     if packet.error and not entry.blocks:
-        words.append(error_words(packet.error))
-    identity = identity_of(entry)
-    if identity is not None:
-        name = identity.model_name or f'unknown model {identity.model_number}'
-        words.append(f'{name}, firmware {identity.firmware}')
+        words.append(status_error(packet, entry))
+    if one := entry.identity:
+        words.append(f'{one.model_name or f"unknown model {one.model_number}"}, '
+                     f'firmware {one.firmware}')
     elif parts:
         words.append(_grouped(parts, with_ids=bool(entry.blocks)))
     elif packet.params:
@@ -98,8 +107,7 @@ def damaged_words(entry: Entry) -> str:
 
 def flaw_words(entry: Entry) -> str:
     """Return what is wrong about a frame; of Protocol 2.0 it has a CRC."""
-    is_2 = HEADER[2:] in entry.wire[:len(HEADER)]
-    return 'wrong checksum' if entry.reason == 'crc' and not is_2 else _FLAWS[entry.reason]
+    return 'wrong checksum' if entry.reason == 'crc' and not entry.is_2 else _FLAWS[entry.reason]
 
 
 def noise_words(entry: Entry) -> str:
