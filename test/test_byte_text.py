@@ -214,6 +214,23 @@ def test_packets_of_a_pasted_text(run, shape):
     assert 'read as' in err and ('times are not known' in err) == (shape not in KNOWS_TIMES)
 
 
+ASKED, ANSWERED = 'FF FF 01 04 02 38 02 BE', 'FF FF 01 04 00 20 08 D2'
+CUT, NOISY = ANSWERED[:-6], '00 7F 31 44 55 66'
+
+
+@pytest.mark.parametrize('sides', [('TX: ', 'RX: '), ('', '')])
+@pytest.mark.parametrize(('came', 'after', 'shown'), [
+    (CUT, ANSWERED, 'ends too early; 01 04 00 20'), (NOISY, ANSWERED, '6 bytes of noise'),
+    (CUT, None, 'ends too early; 01 04 00 20'), (NOISY, None, '6 bytes of noise')])
+def test_what_is_no_packet_has_the_time_of_its_line(run, sides, came, after, shown):
+    lines = [(0, ASKED), (2, ANSWERED), (20, ASKED), (22, came), (40, ASKED), (42, after)]
+    text = ''.join(f'[12:00:00.{at:03}] {sides[at % 20 > 0]}{data}\n' for at, data in lines
+                   if after or at < 40)
+    code, out, err = run(dxl_dump, text, '--full', '--protocol', '1')
+    [line] = [line for line in out.splitlines() if ' ! ' in line and 'missed' not in line]
+    assert (code, float(line.split()[0]), line.endswith(shown)) == (0, 0.022, True), out + err
+
+
 @pytest.mark.parametrize('encoding', ['utf-16', 'utf-8-sig'])
 def test_what_powershell_writes(run, encoding):
     code, out, _ = run(dxl_dump, SHAPES['arrows'].encode(encoding), '--json')

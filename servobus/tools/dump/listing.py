@@ -8,6 +8,7 @@ they were at this frame: what takes it reads what it needs at once and does not 
 """
 
 from collections import defaultdict
+from collections import deque
 from collections.abc import Callable
 from collections.abc import Iterator
 from typing import Any
@@ -25,6 +26,9 @@ from msg_defs.dxl_packet import HEADER
 from msg_defs.dxl_packet import Packet
 from msg_defs.dxl_packet import packet_of
 from msg_defs.dxl_packet import STATUS
+from msg_defs.event import Change
+from msg_defs.event import CLOSED
+from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
 from msg_defs.frame import Flaw
 from msg_defs.frame import Frame
@@ -102,18 +106,32 @@ class _RecentBytes:
 
     def __init__(self) -> None:
         self._data = bytearray()
-        self._begin = 0                        # stream offset of the first one
+        self.begin = 0                         # stream offset of the first one
+        self._chunks = deque[tuple[int, int]]()    # stream offset of its end, stamp
 
-    def add(self, chunk: bytes) -> None:
+    @property
+    def length(self) -> int:
+        """How many they are."""
+        return len(self._data)
+
+    def add(self, chunk: bytes, stamp: int) -> None:
         self._data += chunk
+        self._chunks.append((self.begin + len(self._data), stamp))
+
+    def began(self, offset: int, byte_ns: float) -> int:
+        """Return when the byte at this offset was on the wire, by the chunk that brought it."""
+        end, stamp = next(one for one in self._chunks if offset < one[0])
+        return stamp - int((end - offset) * byte_ns)
 
     def cut(self, begin: int, end: int) -> tuple[bytes, bytes]:
         """Return what is before a frame, and the frame (stream offsets); both are over then."""
-        data, first, last = self._data, begin - self._begin, end - self._begin
+        data, first, last = self._data, begin - self.begin, end - self.begin
         first, last = max(0, first), max(0, last)
         before, wire = bytes(data[:first]), bytes(data[first:last])
         del data[:last]
-        self._begin += len(before) + len(wire)
+        self.begin += len(before) + len(wire)
+        while len(self._chunks) > 1 and self._chunks[0][0] <= self.begin:
+            self._chunks.popleft()
         return before, wire
 
 
@@ -146,7 +164,8 @@ class Listing(BusDecoder):
         return device
 
     def process_chunk(self, chunk: bytes, stamp: int, side: str = UNKNOWN) -> None:
-        self._recent[side].add(chunk)
+        wire_ns = len(chunk) * self.registry.byte_ns if side == OUT else 0
+        self._recent[side].add(chunk, stamp + int(wire_ns))
         super().process_chunk(chunk, stamp, side)
 
     def rest(self) -> Iterator[tuple[str, bytes]]:
@@ -154,23 +173,36 @@ class Listing(BusDecoder):
         for side, recent in self._recent.items():
             yield side, recent.cut(_LAST_OFFSET, _LAST_OFFSET)[0]
 
+    def process_change(self, change: Change, stamp: int) -> None:
+        """Enter the noise at the end, too, where there were packets."""
+        super().process_change(change, stamp)
+        if change.what == CLOSED and self._newest and not self._is_damage_entered:
+            for side, recent in self._recent.items():
+                if recent.length > GLITCH:
+                    began = self._began(recent.begin, side)
+                    self._on_entry(Entry(NOISE, began, length=recent.length, side=side,
+                                         before=recent.cut(_LAST_OFFSET, _LAST_OFFSET)[0]))
+
     def process_frames(self, frames: Frames, stamp: int, received: int,
                        side: str = UNKNOWN) -> None:
         for number, frame in enumerate(frames):
             begin, flaw = frame[0], frame[6]
-            self._newest = max(self._newest, self._began(begin, stamp, received))
             if flaw is not None and flaw.reason:
                 following = frames[number + 1][0] if number + 1 < len(frames) else received
                 self._enter_damaged(frame, flaw, stamp, received, side, following)
-            else:
-                self._enter_good(frame, stamp, received, side)
+                continue
+            if flaw is not None and flaw.noise_length > GLITCH and not self._is_damage_entered:
+                self._on_entry(Entry(NOISE, self._began(begin - flaw.noise_length, side),
+                                     length=flaw.noise_length, side=side))
+            self._newest = max(self._newest, self._began(begin, side))
+            self._enter_good(frame, stamp, received, side)
         self._enter_much_noise(bool(frames), stamp, side)
 
-    def _began(self, start: int, stamp: int, received: int) -> int:
+    def _began(self, start: int, side: str) -> int:
         """Return when the byte at this offset was on the wire."""
         if not self._is_timed:
             return start * BITS_PER_BYTE * 1_000_000_000 // (self.settings.baud or DEFAULT_BAUD)
-        return stamp - int((received - start) * self.registry.byte_ns)
+        return self._recent[side].began(start, self.registry.byte_ns)
 
     def process_pause(self, last: int, now: int) -> None:
         plan, counts = self.tracker.pending, _missed(self.tracker.pending)
@@ -182,15 +214,13 @@ class Listing(BusDecoder):
         """Enter a damaged frame; its Length may be wrong, and the next frame begin in it."""
         super().process_frames([frame], stamp, received, side)
         self._is_damage_entered = True
-        _, _, kind, number, code, data, _ = frame
-        self._enter(DAMAGED, side, frame[0], min(frame[1], following),
-                    device=self.device(number), data=data,
+        begin, end, kind, number, code, data, _ = frame
+        last = min(end, following)
+        self._enter(DAMAGED, self._began(begin, side), side, begin, last,
+                    device=self.device(number), data=data[:max(0, len(data) + last - end)],
                     code=STATUS if kind == IS_STATUS else code, reason=flaw.reason)
 
     def _enter_good(self, frame: Frame, stamp: int, received: int, side: str) -> None:
-        flaw = frame[6]
-        if flaw is not None and flaw.noise_length > GLITCH and not self._is_damage_entered:
-            self._on_entry(Entry(NOISE, self._newest, length=flaw.noise_length, side=side))
         self._is_damage_entered = False
         noted = self.evidence.incidents_added
         plan = self.tracker.pending
@@ -198,7 +228,7 @@ class Listing(BusDecoder):
         super().process_frames([frame], stamp, received, side)
         self._enter_missed(plan, counts, self._newest)
         if self._is_plain:
-            self._enter(PACKET, side, frame[0], frame[1])
+            self._enter(PACKET, self._newest, side, frame[0], frame[1])
         else:
             fresh = self.evidence.incidents_added - noted
             self._enter_packet(frame, self.evidence.newest_incidents(fresh), side)
@@ -227,14 +257,15 @@ class Listing(BusDecoder):
             model = self._models.get(model_key(number), firmware)
             identity = PingAnswer(number, model.name if model else '', firmware)
         is_sure = packet.error is None or not self.tracker.is_doubtful
-        self._enter(PACKET, side, frame[0], frame[1], packet=packet, request=request,
+        self._enter(PACKET, self._newest, side, frame[0], frame[1], packet=packet, request=request,
                     device=self.device(packet.id), blocks=blocks, notes=notes, is_sure=is_sure,
                     identity=identity)
 
-    def _enter(self, kind: str, side: str, begin: int, end: int, **facts: Any) -> None:
+    def _enter(self, kind: str, stamp: int, side: str, begin: int, end: int,
+               **facts: Any) -> None:
         """Hand on what is between these offsets of a side; facts: the other fields of Entry."""
         before, wire = self._recent[side].cut(begin, end)
-        self._on_entry(Entry(kind, self._newest, side=side, wire=wire, before=before, **facts))
+        self._on_entry(Entry(kind, stamp, side=side, wire=wire, before=before, **facts))
 
     def _enter_much_noise(self, has_frames: bool, stamp: int, side: str) -> None:
         """Enter noise without any packet after it, as at a wrong baud rate."""
