@@ -153,7 +153,9 @@ class Examination:
                 if one.stands and one.last_s - one.first_s >= since_s]
 
     def buses(self, is_timed: bool) -> list[BusSummary]:
-        """Return each bus as it is shown at the end."""
-        found = [(name, log, log.last) for name, log in self._logs.items()]
+        """Return each bus as it is shown at the end; before its first report is due, as it is."""
+        found = [(name, log, log.last or (self._monitors[name].report(self.last)
+                                          if self.last else None))
+                 for name, log in self._logs.items()]
         return [BusSummary.of(name if len(found) > 1 else '', last, log, is_timed)
                 for name, log, last in found if last is not None]

@@ -165,6 +165,15 @@ def test_a_port_that_the_program_opens_again_is_heard_on(servo_bus):
     assert not any(one.devices for one in heard_second.reports())
 
 
+def test_there_is_a_report_from_the_first_byte_on(servo_bus, servo_doctor):
+    bus = servo_bus('1-2:XL430-W250')
+    with serial.Serial(bus.path, 1_000_000, timeout=0.2) as port:
+        heard = servo_doctor(port, devices=['1-2:XL430-W250'])
+        assert heard.reports() == []
+        ask(port, 1, 2)
+        assert [one.totals.answers for one in heard.reports()[0].devices] == [1, 1]
+
+
 @pytest.mark.realtime(bears=0.02)
 def test_a_servo_on_which_the_program_ends_is_named_after_one_question(servo_bus):
     bus = servo_bus('1-3:XL430-W250', faults=['silent:2:0'])
