@@ -37,7 +37,7 @@ SENT_LITTLE, SENT_BIG = (-3, 1), (-3, 2)
 LAYOUTS_KEPT = 256
 # Series whose names do not begin with their letters. MX(2.0) has the table of the X series.
 _SERIES = {'X': r'2?X[A-Z]\d|2X|MX-\d+$', 'P': r'P[HM]\d', 'PRO(A)': r'[HM]\d\d-.*\(A\)',
-           'PRO': r'[HLM]\d\d-', 'SMS': r'SM\d', 'Y': r'YM\d'}
+           'PRO': r'[HLM]\d\d-|RH-P12-RN$', 'SMS': r'SM\d', 'Y': r'YM\d'}
 _NAMED_SERIES = 4                  # more are "several"
 # Where several series are left, only these have a meaning: what else is at one address in all
 # series that are known may well be something different in one that is not.
