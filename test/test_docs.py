@@ -151,7 +151,8 @@ def test_findings_that_a_page_names_exist(page):
 
 @pytest.mark.parametrize('words', [
     'hums', 'spins', 'drift', 'wrong position', 'Bricked', 'factory reset', 'firmware update',
-    'after ten minutes', 'stopped working', 'ignores commands', 'laptop', 'Raspberry Pi'])
+    '4294967295', 'above 4095', 'after ten minutes', 'stopped working', 'ignores commands',
+    'laptop', 'Raspberry Pi'])
 def test_what_people_look_for_is_a_symptom(words):
     rows = (ROOT / 'docs/symptoms.md').read_text().splitlines()
     assert any(words in row.split('|')[1] for row in rows if row.startswith('|'))
