@@ -107,21 +107,24 @@ class _RecentBytes:
     def __init__(self) -> None:
         self._data = bytearray()
         self.begin = 0                         # stream offset of the first one
-        self._chunks = deque[tuple[int, int]]()    # stream offset of its end, stamp
+        self._chunks = deque[tuple[int, int]]()    # stream offset, and when that was on the wire
 
     @property
     def length(self) -> int:
         """How many they are."""
         return len(self._data)
 
-    def add(self, chunk: bytes, stamp: int) -> None:
+    def add(self, chunk: bytes, began: int) -> None:
+        self._chunks.append((self.begin + len(self._data), began))
         self._data += chunk
-        self._chunks.append((self.begin + len(self._data), stamp))
 
     def began(self, offset: int, byte_ns: float) -> int:
         """Return when the byte at this offset was on the wire, by the chunk that brought it."""
-        end, stamp = next(one for one in self._chunks if offset < one[0])
-        return stamp - int((end - offset) * byte_ns)
+        place = self._chunks[-1]               # nearly always: most packets come in one chunk
+        if offset < place[0]:
+            place = next((one for one in reversed(self._chunks) if one[0] <= offset),
+                         self._chunks[0])
+        return place[1] + int((offset - place[0]) * byte_ns)
 
     def cut(self, begin: int, end: int) -> tuple[bytes, bytes]:
         """Return what is before a frame, and the frame (stream offsets); both are over then."""
@@ -130,7 +133,7 @@ class _RecentBytes:
         before, wire = bytes(data[:first]), bytes(data[first:last])
         del data[:last]
         self.begin += len(before) + len(wire)
-        while len(self._chunks) > 1 and self._chunks[0][0] <= self.begin:
+        while len(self._chunks) > 1 and self._chunks[1][0] <= self.begin:
             self._chunks.popleft()
         return before, wire
 
@@ -164,8 +167,8 @@ class Listing(BusDecoder):
         return device
 
     def process_chunk(self, chunk: bytes, stamp: int, side: str = UNKNOWN) -> None:
-        wire_ns = len(chunk) * self.registry.byte_ns if side == OUT else 0
-        self._recent[side].add(chunk, stamp + int(wire_ns))
+        wire_ns = 0 if side == OUT else len(chunk) * self.registry.byte_ns
+        self._recent[side].add(chunk, stamp - int(wire_ns))
         super().process_chunk(chunk, stamp, side)
 
     def rest(self) -> Iterator[tuple[str, bytes]]:
