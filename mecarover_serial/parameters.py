@@ -115,11 +115,33 @@ def typed(arguments: Sequence[str], node: str) -> dict[str, Any]:
 
 
 def _parsed(text: str) -> Any:
-    with suppress(ValueError):          # 1e-3 is a number for ROS, a string for PyYAML
-        return float(text) if not text.lstrip('+-').isdigit() else int(text)
+    """Return a value as rcl reads it: for PyYAML alone 1e-3 is a text and 2026-11-28 a date."""
+    with suppress(ValueError):
+        return _as_number(text)
     import yaml  # dxl_tap starts without it
-    with suppress(yaml.YAMLError):
-        return yaml.safe_load(text)
+    with suppress(Exception):           # PyYAML has many besides its own YAMLError
+        node = yaml.compose(text)
+        if isinstance(node, yaml.SequenceNode):
+            return [_plain(one) for one in node.value]
+        if isinstance(node, yaml.ScalarNode):
+            return _plain(node)
+    return text
+
+
+def _as_number(text: str) -> int | float:
+    if text.lstrip('+-').isdigit():
+        return int(text)
+    return int(text, 16) if text.startswith('0x') else float(text)
+
+
+def _plain(node: Any) -> Any:
+    """Return a scalar of YAML: in quotes it is text."""
+    text: str = node.value
+    if node.style is None:
+        if node.tag.endswith(':bool'):
+            return text.lower() in ('true', 'yes', 'on')
+        with suppress(ValueError):
+            return _as_number(text)
     return text
 
 
@@ -139,10 +161,11 @@ def _of_type(parameter: Parameter, wanted: type, raw: Any) -> Any:
         return None
     if wanted is str and parameter.element is not None:
         return f'{raw:g}' if isinstance(raw, float) else str(raw)   # devices:=[30] means '30'
-    if wanted is float and math.isfinite(raw):
-        return float(raw)
-    if wanted is int and math.isfinite(raw) and raw == int(raw):
-        return int(raw)
+    with suppress(OverflowError, ValueError):       # no float holds it; inf and NaN are no int
+        if wanted is float and math.isfinite(raw):
+            return float(raw)
+        if wanted is int and raw == int(raw):
+            return int(raw)
     return None
 
 

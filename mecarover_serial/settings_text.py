@@ -65,7 +65,7 @@ def _composed(file: str) -> yaml.Node | None:
         if root is None or isinstance(root, yaml.MappingNode):
             return root
         reason = 'not a file with parameters'
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except (OSError, ValueError, OverflowError, yaml.YAMLError) as error:
         reason = getattr(error, 'strerror', None) or ' '.join(str(error).split())
     except RecursionError:
         reason = 'brackets are nested too deeply'

@@ -36,4 +36,4 @@ class Systemd:
         if environment.get('WATCHDOG_PID', str(os.getpid())) != str(os.getpid()):
             return None
         text = environment.get('WATCHDOG_USEC', '')
-        return int(text) / 1e6 if text.isdigit() and int(text) else None
+        return int(text) / 1e6 if text.isdecimal() and int(text) else None

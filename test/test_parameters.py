@@ -59,6 +59,11 @@ def test_what_is_given_twice_is_named():
     assert str(caught.value) == 'devices: ID 3 is given twice; give it once'
 
 
+def test_a_number_that_no_float_holds_is_refused():
+    with pytest.raises(ParameterError, match=r'cmd_vel_timeout: 1000.*[.]{3} is not possible'):
+        convert(TIMEOUT, 10 ** 400)
+
+
 def test_words_for_people():
     assert TIMEOUT.range_text == '>= 0.05, <= 10 or 0'
     assert [p.type_name for p in (TIMEOUT, BAUD, PORT, DEADMAN, PORTS, BAUDS)] == [

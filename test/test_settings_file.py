@@ -58,7 +58,8 @@ def test_a_file_without_them_needs_no_copy(text, file):
 
 @pytest.mark.parametrize(('text', 'words'), [
     ('a: [1\n', 'line 2'), ('just words', 'not a file with param'), ('- a\n- b', 'not a file'),
-    ('[' * 100_000, 'brackets'), ('a: \0', 'special characters')])
+    ('[' * 100_000, 'brackets'), ('a: \0', 'special characters'),
+    ('a: "\\U99999999"', 'too large'), ('a: "\\U00999999"', 'not in range')])
 def test_what_is_no_settings_file_is_said(text, words, file):
     with pytest.raises(SettingsError, match=words):
         without(file(text), ['port'])

@@ -37,6 +37,7 @@ def test_without_a_manager_nothing_happens(tmp_path):
     ({'WATCHDOG_USEC': '10000000', 'WATCHDOG_PID': '1'}, None),     # meant for our parent
     ({'WATCHDOG_USEC': '0'}, None),
     ({'WATCHDOG_USEC': 'soon'}, None),
+    ({'WATCHDOG_USEC': '10²'}, None),
 ])
 def test_the_watchdog_is_ours_only_if_it_is_meant_for_us(environment, seconds):
     assert Systemd(environment).watchdog_s == seconds
