@@ -7,7 +7,6 @@ A port thread feeds, any other thread asks for reports. Stamps and now are monot
 clock here measures how long a chunk takes.
 """
 
-from collections import deque
 from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Sequence
@@ -15,11 +14,8 @@ from operator import attrgetter
 from threading import Lock
 from time import monotonic_ns
 from typing import Any
-from typing import NamedTuple
 
 from msg_defs.diagnostics import Level
-from msg_defs.diagnostics import Metric
-from msg_defs.dxl_packet import REASONS
 from msg_defs.event import BREAK
 from msg_defs.event import Change
 from msg_defs.event import CLOSED
@@ -28,7 +24,6 @@ from msg_defs.event import OUT
 from msg_defs.event import OVERRUN
 from msg_defs.event import PARITY
 from msg_defs.event import UNKNOWN
-from msg_defs.timing import Series
 from servobus.bus import evidence as ev
 from servobus.bus.decoder import BusDecoder
 from servobus.bus.decoder import DEFAULTS
@@ -40,6 +35,7 @@ from servobus.bus.report import BusReport
 from servobus.bus.report import Cycle
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import LineErrors
+from servobus.bus_statistics import BusStatistics
 from servobus.doctor import Doctor
 from servobus.doctor.case import Names
 from servobus.doctor.case import PARAMETERS
@@ -55,23 +51,12 @@ from servobus.model.models import Models
 from servobus.signals import BusSignals
 
 _LINE_ERRORS = {OVERRUN: 'overrun', PARITY: 'parity', FRAMING: 'frame', BREAK: 'breaks'}
-WINDOW_S = 10
-_SERIES = ('time_per_buffer', 'ms'), ('time_between_buffers', 'ms'), ('bytes_per_buffer', 'B')
-TICK_NS = 1_000_000_000
 PLACE_NS = 100_000_000             # after a report: a joint may go back and forth between two
 NEVER_NS = 1 << 63
 CYCLES_REPORTED_MAX = 32
 FEED_DELAY_NS = 200_000_000        # bytes that were read may wait for so long to be fed
 SCAN_MIN_IDS = 8                   # IDs that do not answer a Ping: fewer may be lost devices
 LISTENING_GAP_NS = 2_000_000_000   # a listener reports far more often
-
-
-class Activity(NamedTuple):
-    """What a rate is worked out from: totals since start."""
-
-    bytes: int
-    packets: int
-    errors: int
 
 
 class Monitor:
@@ -86,11 +71,12 @@ class Monitor:
 
     | attributes | who writes them |
     |---|---|
-    | _fed, _last, _series | feed() |
-    | _listened, _resumed | feed(), flush_if_idle(), report() where idle is not reported |
-    | _line_errors, _deaf, _failed, _users | feed(), report(), end() |
-    | _ticks, _next_tick, _noise_seen | feed() or report(), once a second |
-    | _started, _base, doctor | reset_statistics() |
+    | _last, _line_errors | feed_chunks() |
+    | _listened, _resumed | feed_chunks(), flush_if_idle(), report() where idle is not reported |
+    | _deaf | report() |
+    | _place_due | feed_chunks(), report() |
+    | _failed, _users | end() |
+    | doctor | reset_statistics() |
     | all others | set once |
     """
 
@@ -112,16 +98,14 @@ class Monitor:
         self.signals = BusSignals(self._registry, self._lock)
         self._line_errors: LineErrors | None = None    # reported by the source
         self._idle_is_told = idle_is_told
-        self._fed = 0                          # bytes
         self._last = 0                         # stamp of the last chunk
         self._listened = 0                     # up to when all that came was fed, if known
         self._resumed = 0                      # when somebody listened again
         self._deaf = 0                         # until then no port was open
         self._failed: str | None = None        # how the program that asks ended
         self._users = tuple[str, ...]()        # who else had its port
-        self._noise_seen = 0
         self._place_due = NEVER_NS
-        self._start_statistics(0)
+        self._statistics = BusStatistics(name, decoder)
 
     def feed(self, chunk: bytes, stamp: int, side: str = UNKNOWN) -> None:
         """
@@ -135,7 +119,9 @@ class Monitor:
         """Take the Chunks that one read of a source brought: bytes as feed(), and changes."""
         with self._lock:
             began = self._clock()
-            before, fed = self._last, self._fed
+            statistics = self._statistics
+            before = self._last
+            size = 0.0                         # a Series adds a float faster
             for stamp, _, data, side, change in chunks:
                 if change is not None:
                     self._accept_change(change, stamp)
@@ -149,19 +135,20 @@ class Monitor:
                     self.decoder.process_chunk(data, stamp, side)
                 except Exception as mistake:
                     self._recover(mistake)
-                self._fed += len(data)
+                size += len(data)
                 if self._registry.new_ids:
                     self.signals.attach_new()
-                if stamp >= self._next_tick:
-                    self._tick(stamp)
+                if stamp >= statistics.next_tick:
+                    statistics.tick(stamp)
                 if stamp >= self._place_due:
                     self._keep_places()
                 self._last = stamp
-            if size := self._fed - fed:        # not changes alone
+            if size:                           # not changes alone
+                statistics.fed += size
                 if before:
-                    self._between.add((stamp - before) / 1e6, stamp)
-                self._sizes.add(float(size), stamp)  # sorted in faster than an int
-                self._spent.add((self._clock() - began) / 1e6, stamp)
+                    statistics.between.add((stamp - before) / 1e6, stamp)
+                statistics.sizes.add(size, stamp)
+                statistics.spent.add((self._clock() - began) / 1e6, stamp)
 
     def change(self, change: Change, stamp: int) -> None:
         """Take what the source reported besides bytes (msg_defs/event.py)."""
@@ -192,7 +179,7 @@ class Monitor:
     def reset_statistics(self, now: int) -> None:
         """Start all counts and statistics at 0; what is known of the devices stays."""
         with self._lock:
-            self._start_statistics(now)
+            self._statistics.reset(now)
             for device in self._registry.devices.values():
                 device.reset_statistics()
         with self._examining:
@@ -213,8 +200,9 @@ class Monitor:
             if not (self._idle_is_told and is_listening):
                 self._listened = now
             self._deaf = self._deaf if is_listening else now
-            while now >= self._next_tick:
-                self._tick(now)
+            statistics = self._statistics
+            while now >= statistics.next_tick:
+                statistics.tick(now)
             cycles = _cycles(self._tracker.planner.plans())
             bus = self._bus_report(now, cycles)
             self._place_due = now + PLACE_NS
@@ -223,7 +211,7 @@ class Monitor:
         with self._examining:
             return self.doctor.examine(bus._replace(
                 devices=devices, line_errors=line_errors or self._line_errors,
-                cycle=self.decoder.cycle(now), metrics=self._metrics(now, bus.rates)))
+                cycle=self.decoder.cycle(now), metrics=statistics.metrics(now, bus.rates)))
 
     def _device_report(self, device: Device, now: int) -> DeviceReport:
         with self._lock:
@@ -270,18 +258,6 @@ class Monitor:
             for device, model in guesses:
                 self._registry.assume_model(device, model)
 
-    def _start_statistics(self, now: int) -> None:
-        self._started = now
-        self._next_tick = 0
-        self._tracker.planner.plans()          # brings counts up to date that shall end here
-        self._evidence.counts.clear()
-        self._base = self._counters({})
-        self._base['Bytes'] -= self._base.pop('Pending Bytes')     # these are counted again
-        self._ticks: deque[tuple[int, Activity]] = deque(maxlen=WINDOW_S)
-        self._series = [Series(WINDOW_S) for _ in _SERIES]
-        self._spent, self._between, self._sizes = self._series
-        self.decoder.clock.reset()
-
     def _listen_until(self, now: int) -> None:
         if self._listened and now - self._listened > LISTENING_GAP_NS:
             self._resumed = now
@@ -318,62 +294,13 @@ class Monitor:
         for device in self._registry.devices.values():
             device.keep_place()
 
-    def _tick(self, now: int) -> None:
-        """Once a second: snapshots for the last 10 s, and a look at what was no packet."""
-        if not self._next_tick or now - self._next_tick > WINDOW_S * TICK_NS:
-            self._next_tick = now
-        self._next_tick += TICK_NS
-        self._started = self._started or now
-        for device in self._registry.devices.values():
-            device.snapshots.append(device.counts.copy())
-        decoder = self.decoder
-        noise_bytes = decoder.total('noise_bytes')
-        if self._ticks and noise_bytes != self._noise_seen:
-            self._evidence.search_noise(decoder.noise, noise_bytes - self._noise_seen, now)
-        self._noise_seen = noise_bytes
-        decoder.clock.choose_leader(self._tracker.planner.known.values(), now)
-        self._ticks.append((now, self._activity()))
-
-    def _activity(self) -> Activity:
-        total = self.decoder.total
-        return Activity(total('bytes'), total('packets'),
-                        sum(map(self.decoder.damaged, REASONS)))
-
-    def _counters(self, base: dict[str, int]) -> dict[str, int]:
-        """Return the counts since those of `base`."""
-        total = self.decoder.total
-        damaged, counts = self.decoder.damaged, self._evidence.counts
-        left_out = self._fed - total('bytes')      # where a mistake of ours was
-        now = {
-            'Bytes': self._fed,
-            'Packet Bytes': total('packet_bytes'),
-            'Noise Bytes': total('noise_bytes') + left_out,
-            'Pending Bytes': total('pending'),
-            'Packets': total('packets'),
-            'Instructions': self._tracker.planner.instructions(),
-            'Repaired Packets': total('repaired'),
-            'CRC Errors': damaged('crc'),
-            'Truncated Packets': damaged('cut'),
-            'Bad Lengths': damaged('length'),
-            'Unasked Answers': counts[ev.UNASKED] + counts[ev.SECOND_ANSWER] + counts[ev.LATE],
-            'Unknown Instructions': counts[ev.UNKNOWN_INSTRUCTION],
-        }
-        return {name: n - base.get(name, 0) for name, n in now.items()}
-
-    def _rates(self, now: int) -> dict[str, float]:
-        since, before = self._ticks[0] if self._ticks else (now, Activity(0, 0, 0))
-        if now <= since:
-            return dict.fromkeys(Activity._fields, 0.0)
-        rates = zip(Activity._fields, self._activity(), before, strict=True)
-        return {name: (n - then) / (now - since) * 1e9 for name, n, then in rates}
-
     def _bus_report(self, now: int, cycles: tuple[Cycle, ...]) -> BusReport:
         evidence = self._evidence
-        rates = self._rates(now)
+        statistics = self._statistics
         return BusReport(
-            name=self.name, stamp=now, started=self._started, baud=self.decoder.settings.baud,
-            level=Level.OK, message='', devices=(), rates=rates,
-            counters=self._counters(self._base),
+            name=self.name, stamp=now, started=statistics.started, baud=self.decoder.settings.baud,
+            level=Level.OK, message='', devices=(),
+            rates=statistics.rates(now), counters=statistics.counters(),
             errors=evidence.errors(self._registry.register_name),
             incidents=tuple(evidence.incidents), waits=tuple(evidence.waits),
             cycles=cycles, metrics=(), noise=self.decoder.noise,
@@ -394,17 +321,6 @@ class Monitor:
                       if not (device.heard or device.expected or device.counts.reads
                               or device.counts.writes or device.acks_missing))
         return found if len(found) >= SCAN_MIN_IDS else ()
-
-    def _metrics(self, now: int, rates: dict[str, float]) -> tuple[Metric, ...]:
-        values = [('byte_rate', 'B/s', rates['bytes']), ('packet_rate', 'Hz', rates['packets']),
-                  ('error_rate', 'Hz', rates['errors'])]
-        if self._registry.byte_ns:          # the rate is known
-            values.append(('bus_load', '%', rates['bytes'] * self._registry.byte_ns / 1e7))
-        return (*(Metric(name, unit, one.summary(now), one.total(), bus=self.name)
-                  for (name, unit), one in zip(_SERIES, self._series, strict=True)),
-                *self.decoder.clock.metrics(now, self.name),
-                *(Metric(name, unit, value=value, bus=self.name) for name, unit, value in values))
-
 
 def _cycles(plans: list[Plan]) -> tuple[Cycle, ...]:
     often = sorted(plans, key=attrgetter('asked'), reverse=True)[:CYCLES_REPORTED_MAX]

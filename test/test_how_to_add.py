@@ -271,7 +271,7 @@ class Xr21(Adapter):
 @pytest.mark.more
 def test_a_topic(copy):
     code = copy('a topic')
-    code.change('servobus/monitor.py', (
+    code.change('servobus/bus_statistics.py', (
         "                  ('error_rate', 'Hz'", "                  ('look_rate', 'Hz', 3.0),\n"))
     code.change('docs/generate.py', ("    'packet_rate': ", "    'look_rate': 'heard so far',\n"))
     code.change('config/sros2_policy.xml', (

@@ -24,7 +24,7 @@ import servobus
 
 # Rooms of servobus: its folders, and what its other modules are.
 BASE = ('errors', 'plain', 'internal_fault', 'worker')
-CORE = ('monitor', 'joints', 'signals', 'status')
+CORE = ('monitor', 'bus_statistics', 'joints', 'signals', 'status')
 ROOMS = {                               # room of servobus: which others it may import
     'base': set(),
     'model': {'base'},

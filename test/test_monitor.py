@@ -303,3 +303,18 @@ def test_a_rule_that_fails_is_left_out_and_logged_once(survives, caplog, monkeyp
         bus.report()
     assert [one.rule for one in bus.report().findings] == ['no_answer']
     assert [record.exc_info[0] for record in caplog.records] == [IndexError]
+
+
+def test_what_was_before_a_gap_is_not_of_the_last_10_s():
+    bus = Bus()
+    for _ in range(5):
+        bus.hear(READ, READ, READ, READ)
+        bus.wait(1)
+    bus.wait(60)
+    for _ in range(20):
+        bus.hear(READ, REPLY)
+    bus.wait(2)
+    bus.hear(READ, REPLY)
+    report = bus.report()
+    assert bus.device().window.missed == 0
+    assert report.rates['packets'] == pytest.approx(20, rel=0.01)
