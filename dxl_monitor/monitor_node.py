@@ -38,7 +38,7 @@ from msg_defs.ros import DiagnosticArrays
 from msg_defs.ros import full_name
 from msg_defs.ros import joint_state
 from msg_defs.ros import QUEUE_DEPTH
-from msg_defs.ros import slices
+from msg_defs.ros import slice_statuses
 from msg_defs.ros import TimingPublisher
 from msg_defs.ros import to_ros_time
 from msg_defs.ros import to_time
@@ -52,11 +52,11 @@ from servobus.status import PortState
 from servobus.status import statuses_of
 from servobus.status import timing_metrics
 
-OVERVIEW_S = 1.0            # /diagnostics and dxl/timing
-CHECK_S = 1.0               # whether the timers are well
-LOOK_S = 0.1                # whether something cannot wait for the next report
-APART_NS = 200_000_000      # ... and at least so long after the one before
-AGAIN_NS = 50_000_000       # until it is looked again whether that is over; at the start too
+OVERVIEW_PERIOD_S = 1.0             # /diagnostics and dxl/timing
+TIMERS_CHECK_S = 1.0                # whether the timers are well
+ALARM_CHECK_S = 0.1                 # whether something cannot wait for the next report
+REPORTS_APART_NS = 200_000_000      # ... and at least so long after the one before
+RETRY_NS = 50_000_000               # until a report that had to wait is tried again
 
 
 Reported = tuple[MonitoredBus, BusReport, PortState]
@@ -85,8 +85,8 @@ class MonitorNode(Stoppable):
 
     | attributes | who writes them |
     |---|---|
-    | _waiting, _alarms, _reported | _tick(), _report_alarms(): the thread of the timers |
-    | _known_complaints | _make_reports() in that thread |
+    | _waiting, _timer.period_s | _tick(): the thread of the timers |
+    | _alarms, _reported, _known_complaints | _make_reports() in that thread |
     | _levels, _overview_s, _port_words | _publish_reports() in that thread |
     | _is_stopped | stop() |
     | all others | set once |
@@ -123,10 +123,10 @@ class MonitorNode(Stoppable):
         self.node.create_service(Trigger, '~/reset_statistics', self._reset_statistics)
         self.node.create_service(Trigger, '~/save_recording', self._save_recording)
         self._timers = Timers()
-        self._timer = self._timers.add(1e-9 * AGAIN_NS, self._tick)
+        self._timer = self._timers.add(1e-9 * RETRY_NS, self._tick)
         self._joint_states = self._start_joint_states(values['joint_state_rate'])
-        self._timers.add(LOOK_S, self._report_alarms)
-        self.node.create_timer(CHECK_S, self._timers.check,
+        self._timers.add(ALARM_CHECK_S, self._report_alarms)
+        self.node.create_timer(TIMERS_CHECK_S, self._timers.check,
                                clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._is_stopped = False
         self._recorders.start()
@@ -179,10 +179,10 @@ class MonitorNode(Stoppable):
         if not self._waiting:
             now = time.monotonic_ns()
             if self._is_early(now) or self._is_late(now):
-                self._timer.period_s = 1e-9 * AGAIN_NS
+                self._timer.period_s = 1e-9 * RETRY_NS
                 return
             reports = self._make_reports(now)
-            self._waiting.extend(slices(self._statuses(reports, True)))
+            self._waiting.extend(slice_statuses(self._statuses(reports, True)))
             self._timer.period_s = self._period_s / max(1, len(self._waiting))
         if self._waiting:
             self._tables.publish(self._table_arrays.array(self._waiting.popleft(), self._stamp()))
@@ -207,7 +207,7 @@ class MonitorNode(Stoppable):
     def _report_alarms(self) -> None:
         """Tell at once what cannot wait: a device was lost, came back or has an alert."""
         now = time.monotonic_ns()
-        if (self._count_alarms() != self._alarms and now - self._reported > APART_NS
+        if (self._count_alarms() != self._alarms and now - self._reported > REPORTS_APART_NS
                 and not self._is_stopped and not self._is_late(now)):
             self._publish_reports(self._make_reports(now))
 
@@ -237,7 +237,7 @@ class MonitorNode(Stoppable):
             bool(port.problem), bool(port.warning), report.level,
             *(device.level for device in report.devices))]
         now_s = time.monotonic()
-        is_time = now_s - self._overview_s >= OVERVIEW_S - self._period_s / 2
+        is_time = now_s - self._overview_s >= OVERVIEW_PERIOD_S - self._period_s / 2
         if is_time or levels != self._levels:
             self._levels = levels
             for array in self._overview_arrays.build(
@@ -273,14 +273,14 @@ class MonitorNode(Stoppable):
         """Log what happens to a port, once per change."""
         if self._port_words.get(port.port) != words:
             self._port_words[port.port] = words
-            self._log_words(words, bool(port.problem))
+            self._log_text(words, bool(port.problem))
 
     def _log_recorders(self) -> None:
         """Log what becomes of the recordings, once per change."""
         for words, is_problem in self._recorders.news():
-            self._log_words(words, is_problem)
+            self._log_text(words, is_problem)
 
-    def _log_words(self, words: str, is_problem: bool) -> None:
+    def _log_text(self, words: str, is_problem: bool) -> None:
         if is_problem:                  # two lines: rclpy ties a severity to a place in the code
             self._log.error(words)
         else:

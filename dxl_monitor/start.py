@@ -8,8 +8,8 @@ import sys
 
 from dxl_monitor.monitor_settings import PARAMETERS
 from mecarover_serial.node_command_line import answer
+from mecarover_serial.node_command_line import complain_no_ros
 from mecarover_serial.node_command_line import hold_signals
-from mecarover_serial.node_command_line import no_ros
 
 NAME = 'dxl_monitor'
 ABOUT = ('Listens to Dynamixel and Feetech buses, without ever sending, and publishes devices, '
@@ -26,7 +26,7 @@ def main(args: Sequence[str] | None = None) -> int:
         from dxl_monitor.monitor_node import MonitorNode
         from mecarover_serial.ros_node import run
     except ImportError as error:
-        return no_ros(NAME, error)
+        return complain_no_ros(NAME, error)
     return run(NAME, MonitorNode, args)
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import threading
 import time
 
-END_S = 1.0                      # for how long a call that has begun is waited for
+STOP_WAIT_S = 1.0                # for how long a call that has begun is waited for
 
 
 @dataclass
@@ -50,7 +50,7 @@ class Timers:
         """Call no more; a call that has begun has ended when this returns, or hangs."""
         self._stopping.set()
         if self._thread.is_alive() and threading.current_thread() is not self._thread:
-            self._thread.join(END_S)
+            self._thread.join(STOP_WAIT_S)
 
     def check(self) -> None:
         """Raise what a call raised; wait for one that goes on, so that a watchdog sees it hang."""
@@ -68,14 +68,14 @@ class Timers:
         while not self._stopping.wait(wait_s):
             with self._turning:
                 try:
-                    self.turn(time.monotonic())
+                    self.call_due(time.monotonic())
                 except Exception as mistake:        # for the one who checks
                     self._mistake = mistake
                     if not isinstance(mistake, MemoryError):    # the next call may have some
                         return
             wait_s = max(0.0, min(one.due for one in self._timers) - time.monotonic())
 
-    def turn(self, now: float) -> None:
+    def call_due(self, now: float) -> None:
         """Make the calls that are due."""
         for timer in self._timers:
             if timer.due <= now and not self._stopping.is_set():

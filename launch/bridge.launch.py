@@ -5,9 +5,9 @@ Starts vel2d_bridge with a settings file; `ros2 launch mecarover_serial bridge.l
 
 An argument that is given wins over the file; one that is not leaves the file as it is.
 """
-from mecarover_serial.launch import description
+from mecarover_serial.launch import describe_nodes
 from mecarover_serial.launch_arguments import BRIDGE
 
 
 def generate_launch_description():
-    return description(__file__, BRIDGE)
+    return describe_nodes(__file__, BRIDGE)

@@ -19,7 +19,7 @@ from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch_ros.actions import Node
 from launch_ros.substitutions import ExecutableInPackage
 
-from mecarover_serial.launch import described
+from mecarover_serial.launch import describe_launch_file
 from mecarover_serial.launch_arguments import Argument
 from mecarover_serial.launch_arguments import NO
 from mecarover_serial.launch_arguments import PACKAGE
@@ -42,7 +42,7 @@ ARGUMENTS = (
 
 
 def generate_launch_description():
-    return described(__file__, ARGUMENTS, [OpaqueFunction(function=_start)])
+    return describe_launch_file(__file__, ARGUMENTS, [OpaqueFunction(function=_start)])
 
 
 def _start(context):

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from mecarover_dashboard.cdr import AnyStatus
 from msg_defs import status_keys as keys
-from msg_defs.diagnostics import BUS_HARDWARE
+from msg_defs.diagnostics import BUS_HARDWARE_PREFIX
 from msg_defs.diagnostics import CONNECTED
 from msg_defs.diagnostics import Level
 from msg_defs.diagnostics import namespace_of
@@ -28,7 +28,7 @@ from msg_defs.diagnostics import PORT_CLOSED
 Row = dict[str, Any]
 
 HEAD = 32                          # pairs in front of the table: facts, counters, findings
-_LISTED = (keys.FINDING, keys.SEVERITY, keys.ERROR, keys.DOUBT, keys.SICK)
+_LISTED = (keys.FINDING, keys.SEVERITY, keys.ERROR, keys.DOUBT, keys.DEVICE_PROBLEM)
 _NAMING = 3                         # Model, Firmware Version, State
 _ASIDE = (keys.RUNNING, keys.PART)      # keys of a bus shown elsewhere, or nowhere
 _LEVELS = frozenset(Level)
@@ -110,7 +110,7 @@ def _bus_and_name(status: AnyStatus) -> tuple[str, str]:
     node, rest = split_name(status.name)
     # hardware_id in older recordings: '[BUS/]11'.
     bus = status.hardware_id.removeprefix(f'{namespace_of(node)}/').rpartition('/')[0]
-    bus = bus.removeprefix(BUS_HARDWARE)
+    bus = bus.removeprefix(BUS_HARDWARE_PREFIX)
     return (bus, rest[len(bus) + 1:]) if bus and rest.startswith(f'{bus}/') else ('', rest)
 
 

@@ -20,8 +20,8 @@ from mecarover_dashboard.history_recorder import History
 from mecarover_dashboard.history_recorder import HistoryError
 from mecarover_dashboard.history_recorder import HistoryRecorder
 from mecarover_dashboard.history_recorder import ReadOnlyHistory
-from mecarover_serial.node_command_line import no_ros
-from mecarover_serial.node_command_line import options_of_node
+from mecarover_serial.node_command_line import begin_node
+from mecarover_serial.node_command_line import complain_no_ros
 from servobus.plain import plain_streams
 from servobus.plain import printable
 from servobus.tools.cli import COULD_NOT_RUN
@@ -48,12 +48,12 @@ _REMEDIES = {
 @plain_streams()
 def main(args: Sequence[str] | None = None) -> int:
     """Run the dashboard; return the exit code."""
-    options, arguments = options_of_node(make_parser(), args)
+    options, arguments = begin_node(make_parser(), args)
     try:
         from mecarover_dashboard.topic_subscriber import PageSubscriber
         from mecarover_serial.ros_node import run
     except ImportError as error:
-        return no_ros(NAME, error)
+        return complain_no_ros(NAME, error)
     server = open_server(options)
     if server is None:
         return COULD_NOT_RUN

@@ -25,8 +25,8 @@ from mecarover_dashboard.status_lines import screen
 from mecarover_dashboard.status_lines import SORTS
 from mecarover_dashboard.status_lines import status_lines
 from mecarover_dashboard.status_lines import table
-from mecarover_serial.node_command_line import no_ros
-from mecarover_serial.node_command_line import options_of_node
+from mecarover_serial.node_command_line import begin_node
+from mecarover_serial.node_command_line import complain_no_ros
 from servobus.plain import on_screen
 from servobus.plain import plain_streams
 from servobus.tools.command_line import number
@@ -150,12 +150,12 @@ def _coloured(line: str, row: str) -> str:
 @plain_streams()
 def main(args: Sequence[str] | None = None) -> int:
     """Run the command with ROS; return the exit code."""
-    options, arguments = options_of_node(make_parser(), args)
+    options, arguments = begin_node(make_parser(), args)
     try:
         from mecarover_dashboard.status_subscriber import StatusSubscriber
         from mecarover_serial.ros_node import run
     except ImportError as error:
-        return no_ros(NAME, error)
+        return complain_no_ros(NAME, error)
     state = State()
     display = Display(state, options, least_s=LEAST_S)
     try:

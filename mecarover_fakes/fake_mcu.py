@@ -27,7 +27,7 @@ from mecarover_fakes.receiver import SetPoint
 from mecarover_fakes.virtual_uart import VirtualUart
 from msg_defs.crc import Checksum
 from msg_defs.crc import crc32_mpeg2
-from msg_defs.crc import CRC_INPUTS
+from msg_defs.crc import CRC_BY_INPUT
 from msg_defs.vel2d import FRAME_SIZE
 from servobus.port.pty import outlive
 from servobus.tools.cli import run_tool
@@ -116,8 +116,8 @@ def _main(arguments: list[str]) -> int:
     cable = BadCable(drop=options.drop, flip=options.flip, deaf_after=options.deaf_after,
                      seed=options.seed)
     hold_signals()
-    mcu = FakeMcu(options.link, baud=options.baud, crc=CRC_INPUTS[options.crc_input], cable=cable,
-                  talks=not options.silent, watchdog=options.watchdog)
+    mcu = FakeMcu(options.link, baud=options.baud, crc=CRC_BY_INPUT[options.crc_input],
+                  cable=cable, talks=not options.silent, watchdog=options.watchdog)
     printer = _Printer(mcu, as_json=options.json, frames=options.frames)
     try:
         with one_signal():
@@ -192,7 +192,7 @@ def _parser() -> Parser:
     add, count = parser.add_argument, number(int, 0)
     add('-b', '--baud', type=number(baud_rate, 1), default=115200,
         help='baud rate of the simulated line (default %(default)s)')
-    add('--crc-input', choices=sorted(CRC_INPUTS), default='bytes',
+    add('--crc-input', choices=sorted(CRC_BY_INPUT), default='bytes',
         help='how the CRC unit is fed (default %(default)s)')
     add('--json', action='store_true', help='JSON lines; stamps are monotonic seconds')
     add('--frames', action='store_true', help='print a line for every frame too')

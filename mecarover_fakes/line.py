@@ -18,10 +18,10 @@ from mecarover_fakes.fake_servo import FakeDevice
 from mecarover_fakes.fake_servo import WATCHDOG_UNIT_NS
 from msg_defs import dxl1_packet
 from msg_defs.crc import crc16
-from msg_defs.dxl1_instruction import common_error
 from msg_defs.dxl1_instruction import Dialect
-from msg_defs.dxl1_instruction import in_common
 from msg_defs.dxl1_instruction import parse as parse_1
+from msg_defs.dxl1_instruction import protocol_2_error
+from msg_defs.dxl1_instruction import widen_instruction
 from msg_defs.dxl_instruction import Access
 from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import Instruction
@@ -157,7 +157,7 @@ class Line:
         """Return a frame's ID, instruction, parameters, and whether it was stuffed."""
         number, code, params, flaw = frame[3:]
         if self.dialect:
-            return number, code, in_common(code, number, params)[1], True
+            return number, code, widen_instruction(code, number, params)[1], True
         return number, code, params, flaw is None or not flaw.unstuffed
 
     # --- devices ---------------------------------------------------------------------------
@@ -222,7 +222,7 @@ class Line:
         burst = Burst(start, wire or self.status_wire(number, error, params), number, self.baud)
         exchange.bursts.append(burst)
         if self.dialect:
-            error = common_error(error, self.dialect)
+            error = protocol_2_error(error, self.dialect)
         exchange.answers.append(Answer(number, error, params, burst))
         return burst.end
 

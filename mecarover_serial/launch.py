@@ -32,25 +32,24 @@ import yaml
 
 from mecarover_serial.launch_arguments import Argument
 from mecarover_serial.launch_arguments import arguments_of
-from mecarover_serial.launch_arguments import Launched
+from mecarover_serial.launch_arguments import LaunchedNode
 from mecarover_serial.launch_arguments import PACKAGE
 from mecarover_serial.launch_arguments import refuse_unknown
 from mecarover_serial.launch_arguments import SHARED
 from mecarover_serial.launch_arguments import typed_names
 from mecarover_serial.launch_arguments import YES
-from mecarover_serial.parameters import typed
-from mecarover_serial.settings_text import check
+from mecarover_serial.parameters import typed_parameters
+from mecarover_serial.settings_text import check_sections
 from mecarover_serial.settings_text import SettingsError
-from mecarover_serial.settings_text import without
+from mecarover_serial.settings_text import without_parameters
+from servobus.tools.cli import WRONG_USAGE
 
-HOPELESS = 2                # exit code of a wrong parameter
 
-
-class _Used(str):
+class _GivenToInclude(str):
     """The value of an argument that one include was given: it is not meant for the next one."""
 
 
-def described(file: str, arguments: Sequence[Argument], actions: Sequence[Any]
+def describe_launch_file(file: str, arguments: Sequence[Argument], actions: Sequence[Any]
               ) -> LaunchDescription:
     """
     Describe a launch file `file` that keeps its arguments to itself.
@@ -65,7 +64,7 @@ def described(file: str, arguments: Sequence[Argument], actions: Sequence[Any]
         refuse_unknown(file, names, sys.argv)
         given = context.launch_configurations
         for name in own:
-            if isinstance(given.get(name), _Used):
+            if isinstance(given.get(name), _GivenToInclude):
                 get_logger(os.path.basename(file)).warning(
                     f'{name}:={given.pop(name)} was given to another include, so this one takes '
                     f'its default; give it {name} too if it needs it')
@@ -73,7 +72,7 @@ def described(file: str, arguments: Sequence[Argument], actions: Sequence[Any]
     def end(context: Any) -> None:
         given = context.launch_configurations
         for name in set(own) & given.keys() - typed_names(sys.argv):
-            given[name] = _Used(given[name])
+            given[name] = _GivenToInclude(given[name])
     return LaunchDescription([
         GroupAction([
             OpaqueFunction(function=begin),
@@ -93,25 +92,26 @@ def _shipped(settings: str) -> str:
     return os.path.join(get_package_share_directory(PACKAGE), 'config', settings)
 
 
-def description(file: str, *nodes: Launched) -> LaunchDescription:
+def describe_nodes(file: str, *nodes: LaunchedNode) -> LaunchDescription:
     """Describe the launch of nodes by a launch file `file`."""
-    return described(file, arguments_of(*nodes), [
-        OpaqueFunction(function=partial(_start, node=node, spelt=node.spelt(len(nodes) > 1)))
+    return describe_launch_file(file, arguments_of(*nodes), [
+        OpaqueFunction(function=partial(_start, node=node,
+                                        names=node.argument_names(len(nodes) > 1)))
         for node in nodes])
 
 
-def _start(context: Any, node: Launched, spelt: dict[str, str]) -> list[Any]:
+def _start(context: Any, node: LaunchedNode, names: dict[str, str]) -> list[Any]:
     everything = context.launch_configurations
-    given = {name: everything[here] for name, here in spelt.items()}
+    given = {name: everything[here] for name, here in names.items()}
     full_name = prefix_namespace(make_namespace_absolute(prefix_namespace(
         everything.get('ros_namespace'), everything['namespace'])), given['name'])
     texts = {one: given[one] for one, _ in node.parameters if given[one]}
-    settings = _settings(given['config'], texts, full_name)
+    settings = _settings_without(given['config'], texts, full_name)
     # ROS puts SetParameter of the user's launch file between the two: it wins over our file.
     is_ours = given['config'] == _shipped(node.settings)
     ours, theirs = ([settings], []) if is_ours else ([], [settings])
     if texts:
-        theirs.append(_file(yaml.safe_dump(
+        theirs.append(_write_file(yaml.safe_dump(
             {full_name: {'ros__parameters': _values(node.node, texts)}})))
     return [Node(
         package=PACKAGE, executable=node.node, name=given['name'],
@@ -121,40 +121,40 @@ def _start(context: Any, node: Launched, spelt: dict[str, str]) -> list[Any]:
             *(word for file in ours for word in ('--params-file', file)),
             '--log-level', f'{full_name[1:].replace("/", ".")}:={everything["log_level"]}',
             *(['--enclave', given['enclave']] if given['enclave'] else [])],
-        respawn=given['respawn'] in YES, respawn_delay=1.0, on_exit=_give_up_if_hopeless,
+        respawn=given['respawn'] in YES, respawn_delay=1.0, on_exit=_no_respawn_after_wrong_usage,
         output='screen')]
 
 
 def _values(node: str, texts: dict[str, str]) -> dict[str, Any]:
     """Return the values of parameters as they are after -p on a command line."""
     words = [word for name, text in texts.items() for word in ('-p', f'{name}:={text}')]
-    return typed(['--ros-args', *words], node)
+    return typed_parameters(['--ros-args', *words], node)
 
 
-def _settings(file: str, overridden: Iterable[str], node: str) -> str:
+def _settings_without(file: str, overridden: Iterable[str], node: str) -> str:
     """Return a settings file without what arguments override, as rcl keeps a value per type."""
     try:
-        check([file], node)
-        rest = without(file, overridden)
+        check_sections([file], node)
+        rest = without_parameters(file, overridden)
     except SettingsError as error:
         raise SettingsError(f'config: {error}') from error
-    return _file(rest) if rest else os.path.abspath(file)
+    return _write_file(rest) if rest else os.path.abspath(file)
 
 
-def _file(text: str) -> str:
+def _write_file(text: str) -> str:
     """Return the path of a new file, which is there until the launch ends."""
-    with tempfile.NamedTemporaryFile('w', dir=_folder().name, suffix='.yaml', delete=False,
-                                     encoding='utf-8') as new:
+    with tempfile.NamedTemporaryFile('w', dir=_temporary_folder().name, suffix='.yaml',
+                                     delete=False, encoding='utf-8') as new:
         new.write(text)
     return new.name
 
 
 @cache
-def _folder() -> tempfile.TemporaryDirectory[str]:
+def _temporary_folder() -> tempfile.TemporaryDirectory[str]:
     return tempfile.TemporaryDirectory(prefix='mecarover_launch_')
 
 
-def _give_up_if_hopeless(event: Any, context: Any) -> list[Any]:
+def _no_respawn_after_wrong_usage(event: Any, context: Any) -> list[Any]:
     """Do not start again what cannot work: that hides what it said."""
     give_up = EmitEvent(event=ShutdownProcess(process_matcher=matches_action(event.action)))
-    return [give_up] if event.returncode == HOPELESS else []
+    return [give_up] if event.returncode == WRONG_USAGE else []

@@ -11,10 +11,10 @@ from typing import NamedTuple
 from servobus.errors import did_you_mean
 
 PACKAGE = 'mecarover_serial'
-_MARK = ':='
+_ASSIGN = ':='
 YES = ('true', 'True', '1')
 NO = ('false', 'False', '0')
-LEVELS = ('debug', 'info', 'warn', 'error', 'fatal')
+LOG_LEVELS = ('debug', 'info', 'warn', 'error', 'fatal')
 
 
 class Argument(NamedTuple):
@@ -26,7 +26,7 @@ class Argument(NamedTuple):
     choices: tuple[str, ...] = ()
 
 
-class Launched(NamedTuple):
+class LaunchedNode(NamedTuple):
     """
     A node that launch files start; `label` is its short name, where there are several nodes.
 
@@ -41,7 +41,7 @@ class Launched(NamedTuple):
     respawn: bool
     remapped: tuple[tuple[str, str], ...] = ()
 
-    def spelt(self, is_one_of_several: bool) -> dict[str, str]:
+    def argument_names(self, is_one_of_several: bool) -> dict[str, str]:
         """Return the names of its arguments: one that all nodes have carries the node's name."""
         names = {one.name: one.name for one in self.arguments()}
         if is_one_of_several:
@@ -65,11 +65,11 @@ class Launched(NamedTuple):
         ]
 
 
-BRIDGE = Launched(
+BRIDGE = LaunchedNode(
     'vel2d_bridge', 'bridge', 'bridge.yaml',
     (('port', 'the UART to the MCU'), ('baud', 'its baud rate')),
     respawn=True, remapped=(('cmd_vel', 'topic of the commands'),))
-MONITOR = Launched(
+MONITOR = LaunchedNode(
     'dxl_monitor', 'monitor', 'monitor.yaml',
     (('ports', "port of the bus, or a list: \"['/dev/ttyUSB0','/dev/ttyUSB1']\""),
      ('bauds', 'its baud rate, or a list'),
@@ -78,16 +78,16 @@ MONITOR = Launched(
 SHARED = (
     Argument('namespace', '', 'namespace of the nodes and their topics'),
     Argument('log_level', 'info', 'debug, info, warn, error, fatal',
-             LEVELS + tuple(level.upper() for level in LEVELS)),
+             LOG_LEVELS + tuple(level.upper() for level in LOG_LEVELS)),
 )
 
 
-def arguments_of(*nodes: Launched) -> list[Argument]:
+def arguments_of(*nodes: LaunchedNode) -> list[Argument]:
     """Return the arguments of a launch file that starts these nodes."""
     own = []
     for node in nodes:
-        spelt = node.spelt(len(nodes) > 1)
-        own += [one._replace(name=spelt[one.name]) for one in node.arguments()]
+        names = node.argument_names(len(nodes) > 1)
+        own += [one._replace(name=names[one.name]) for one in node.arguments()]
     return [*SHARED, *own]
 
 
@@ -97,7 +97,7 @@ class UnknownArgument(Exception):
 
 def typed_names(words: Sequence[str]) -> set[str]:
     """Return the arguments that a command line of `ros2 launch` gives."""
-    return {name for name, mark, _ in (word.partition(_MARK) for word in words)
+    return {name for name, mark, _ in (word.partition(_ASSIGN) for word in words)
             if mark and name.isidentifier()}
 
 

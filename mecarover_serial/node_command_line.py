@@ -25,15 +25,15 @@ from servobus.tools.command import take_over
 from servobus.tools.version import version_of
 from servobus.worker import MORE_TASKS
 
-FILES_LEAST = 64                # a node has 31 open
-ENDING = tuple(getattr(signal, name) for name in ('SIGINT', 'SIGTERM', 'SIGHUP', 'SIGQUIT')
+OPEN_FILES_MIN = 64             # a node has 31 open
+ENDING_SIGNALS = tuple(getattr(signal, name) for name in ('SIGINT', 'SIGTERM', 'SIGHUP', 'SIGQUIT')
                if hasattr(signal, name))       # Windows has two of them
 
 
 def hold_signals() -> None:
     """Begin a node: let ending signals wait while it imports ROS; its `run` takes them."""
     open_streams()
-    signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
+    signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)
     take_over()
 
 
@@ -54,7 +54,7 @@ def answer(name: str, about: str, parameters: Sequence[Parameter],
         return complain(name, UsageError(
             f'{outside[0]}: has no effect outside --ros-args; write e.g. --ros-args '
             f'{_meant(outside, parameters)}, or see --help'))
-    return few_files(name)
+    return refuse_few_files(name)
 
 
 def _meant(outside: Sequence[str], parameters: Sequence[Parameter]) -> str:
@@ -79,7 +79,7 @@ def node_help(name: str, about: str, parameters: Sequence[Parameter]) -> str:
     return wrapped('\n'.join(lines))
 
 
-def options_of_node(parser: argparse.ArgumentParser, args: Sequence[str] | None
+def begin_node(parser: argparse.ArgumentParser, args: Sequence[str] | None
                     ) -> tuple[argparse.Namespace, list[str]]:
     """
     Begin a node with options of its own: return these, and the command line for ROS.
@@ -92,12 +92,12 @@ def options_of_node(parser: argparse.ArgumentParser, args: Sequence[str] | None
         options = parser.parse_args(split_ros_args(arguments)[1])
     except UsageError as error:
         sys.exit(complain(parser.prog, error))
-    if code := few_files(parser.prog):
+    if code := refuse_few_files(parser.prog):
         sys.exit(code)
     return options, [parser.prog, *arguments]
 
 
-def few_files(name: str) -> int | None:
+def refuse_few_files(name: str) -> int | None:
     """
     Say so where too few files may be open for a node, and return the exit code; None: all is well.
 
@@ -106,20 +106,20 @@ def few_files(name: str) -> int | None:
     with suppress(ImportError):         # Windows has no such limit
         import resource
         files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-        if files < FILES_LEAST:
+        if files < OPEN_FILES_MIN:
             return complain(name, OSError(
-                f'only {files} files may be open; raise the limit to {FILES_LEAST} or more '
+                f'only {files} files may be open; raise the limit to {OPEN_FILES_MIN} or more '
                 '(ulimit -n, LimitNOFILE=)'))
     return None
 
 
-def no_process(name: str, error: OSError) -> int:
+def complain_no_process(name: str, error: OSError) -> int:
     """Say that a process that is needed cannot be started; return the exit code."""
     return complain(name, OSError(
         f'cannot start a process: {error.strerror}; {MORE_TASKS}'))
 
 
-def no_ros(name: str, error: ImportError) -> int:
+def complain_no_ros(name: str, error: ImportError) -> int:
     """Say that ROS 2 is not there; return the exit code."""
     return complain(name, OSError(
         f'ROS 2 is not sourced ({error}); source /opt/ros/jazzy/setup.bash, or run scripts/setup '

@@ -22,7 +22,7 @@ from servobus.errors import did_you_mean
 from servobus.errors import ParameterError
 
 _TYPE_NAMES = {bool: 'bool', int: 'integer', float: 'double', str: 'string'}
-_OF_RCLPY = ('use_sim_time', 'start_type_description_service')
+_RCLPY_PARAMETERS = ('use_sim_time', 'start_type_description_service')
 
 
 class Parameter(NamedTuple):
@@ -75,10 +75,10 @@ def convert(parameter: Parameter, raw: Any) -> Any:
     return [_scalar(parameter, parameter.element, item) for item in raw if item != '']
 
 
-def unknown(names: Sequence[str], given: Sequence[str]) -> list[str]:
+def unknown_names(names: Sequence[str], given: Sequence[str]) -> list[str]:
     """Return a line for each given name that is not a parameter, with the one probably meant."""
     return [f'{name}: no such parameter, ignored; {did_you_mean(name, names)}'
-            for name in given if name not in (*names, *_OF_RCLPY)]
+            for name in given if name not in (*names, *_RCLPY_PARAMETERS)]
 
 
 def split_ros_args(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -102,7 +102,7 @@ def settings_files(arguments: Sequence[str]) -> list[str]:
             if word == '--params-file']
 
 
-def typed(arguments: Sequence[str], node: str) -> dict[str, Any]:
+def typed_parameters(arguments: Sequence[str], node: str) -> dict[str, Any]:
     """Return the values of `-p [NODE:]NAME:=VALUE` after --ros-args; the last one counts."""
     found = {}
     for word, value in pairwise([*split_ros_args(arguments)[0], '']):
@@ -149,7 +149,7 @@ def _scalar(parameter: Parameter, wanted: type, raw: Any) -> Any:
     value = _of_type(parameter, wanted, raw)
     if value is None or (parameter.choices and value not in parameter.choices) \
             or not _is_in_range(parameter, value):
-        raise ParameterError(_line(parameter, raw if value is None else value))
+        raise ParameterError(_error_line(parameter, raw if value is None else value))
     return value
 
 
@@ -174,7 +174,7 @@ def _is_in_range(parameter: Parameter, value: Any) -> bool:
         or parameter.minimum <= value <= parameter.maximum
 
 
-def _line(parameter: Parameter, raw: Any) -> str:
+def _error_line(parameter: Parameter, raw: Any) -> str:
     shown = repr(raw) if len(repr(raw)) < 60 else repr(raw)[:57] + '...'
     takes = f'a {parameter.type_name}' if parameter.type_name[0] != 'i' \
         else f'an {parameter.type_name}'

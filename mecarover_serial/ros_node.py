@@ -41,17 +41,17 @@ from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
 
-from mecarover_serial.fast_dds import spare_shared_memory
-from mecarover_serial.fast_dds import wrong_domain
+from mecarover_serial.fast_dds import avoid_full_shared_memory
+from mecarover_serial.fast_dds import domain_problem
 from mecarover_serial.namesakes import DISCOVERED_NS
 from mecarover_serial.namesakes import Namesakes
-from mecarover_serial.node_command_line import ENDING
+from mecarover_serial.node_command_line import ENDING_SIGNALS
 from mecarover_serial.parameters import convert
 from mecarover_serial.parameters import Parameter
 from mecarover_serial.parameters import settings_files
-from mecarover_serial.parameters import typed
-from mecarover_serial.parameters import unknown
-from mecarover_serial.settings_text import check
+from mecarover_serial.parameters import typed_parameters
+from mecarover_serial.parameters import unknown_names
+from mecarover_serial.settings_text import check_sections
 from mecarover_serial.settings_text import SettingsError
 from mecarover_serial.standard_streams import StandardStreams
 from mecarover_serial.systemd import Systemd
@@ -65,9 +65,9 @@ from servobus.worker import MORE_TASKS
 
 _OVERRIDES = 'qos_overrides.'
 _NO_THREAD = re.compile('start new thread|pthread_create')     # in Python's words; in those of ROS
-SAY_AGAIN_S = 60.0              # between lines about what rclpy raises at one place
-USELESS_S = 10.0                # an executor that only raises for so long does nothing any more
-STEP_S = 1.0                    # the system clock was set when it jumps by more
+SAME_ERROR_AGAIN_S = 60.0       # between lines about what rclpy raises at one place
+ONLY_ERRORS_MAX_S = 10.0        # an executor that only raises for so long does nothing any more
+CLOCK_STEP_S = 1.0              # the system clock was set when it jumps by more
 
 
 class Stoppable(Protocol):
@@ -114,13 +114,13 @@ def _is_set_back(ahead_s: float) -> bool:
     Fast DDS then crashes, every other time, when it takes down what was there before. By that
     time everything of ours is stopped and closed: the process is left without taking it down.
     """
-    return time.time() - time.monotonic() < ahead_s - STEP_S
+    return time.time() - time.monotonic() < ahead_s - CLOCK_STEP_S
 
 
 def _run(name: str, start: Callable[[], Stoppable], args: Sequence[str] | None,
          signals: _Signals, ahead_s: float) -> int:
-    spare_shared_memory(name)
-    if problem := wrong_domain(os.environ.get('ROS_DOMAIN_ID', '')):
+    avoid_full_shared_memory(name)
+    if problem := domain_problem(os.environ.get('ROS_DOMAIN_ID', '')):
         return complain(name, UsageError(problem))
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
@@ -168,7 +168,7 @@ def _spin(app: Stoppable, signals: _Signals, ahead_s: float) -> None:
         signals.watch(app, partial(_end, executor, ended))
         executor.add_node(app.node)
         if systemd.watchdog_s is not None:
-            app.node.create_timer(systemd.watchdog_s / 3, partial(_feed, systemd, app),
+            app.node.create_timer(systemd.watchdog_s / 3, partial(_feed_watchdog, systemd, app),
                                   clock=Clock(clock_type=ClockType.STEADY_TIME))
         systemd.notify('READY=1')
         gc.freeze()             # imports and set-up stay: no garbage is to be looked for there
@@ -183,7 +183,7 @@ def _spin(app: Stoppable, signals: _Signals, ahead_s: float) -> None:
             app.node.destroy_node()
 
 
-def _feed(systemd: Systemd, app: Stoppable) -> None:
+def _feed_watchdog(systemd: Systemd, app: Stoppable) -> None:
     """Feed the watchdog: this thread runs, as it does this, and so do those of the app."""
     if app.is_working():
         systemd.notify('WATCHDOG=1')
@@ -227,11 +227,11 @@ class _SpinErrors:
                     'what another node sent was thrown away: correct that node')
         self._since = min(self._since, now_s)
         self._unlock()
-        if now_s - self._last_logged.get(place, -math.inf) >= SAY_AGAIN_S:
+        if now_s - self._last_logged.get(place, -math.inf) >= SAME_ERROR_AGAIN_S:
             self._last_logged[place] = now_s
             with suppress(MemoryError):
                 self._node.get_logger().warning(printable(line))
-        return now_s - self._since < USELESS_S
+        return now_s - self._since < ONLY_ERRORS_MAX_S
 
     def _unlock(self) -> None:
         """Have rclpy call again what it was to call when it raised: it would wait for its end."""
@@ -264,8 +264,9 @@ def warn_of_overrides(node: Node, endpoints: Sequence[str]) -> None:
     """Warn of qos_overrides.* that none of these took (as '/cmd_vel.subscription')."""
     policies = [f'{_OVERRIDES}{of}.{one}' for of in endpoints
                 for one in ('reliability', 'depth', 'history')]
-    for line in unknown(policies, [one for one in given(node) if one.startswith(_OVERRIDES)
-                                   and not node.has_parameter(one)]):
+    for line in unknown_names(policies, [
+            one for one in given_parameters(node)
+            if one.startswith(_OVERRIDES) and not node.has_parameter(one)]):
         node.get_logger().warning(line)
 
 
@@ -291,7 +292,7 @@ class GraphCheck:
         return lines
 
 
-def given(node: Node) -> dict[str, Any]:
+def given_parameters(node: Node) -> dict[str, Any]:
     """Return the raw values that the user gave, on the command line or in a file."""
     return {name: one.value for name, one in node._parameter_overrides.items()}
 
@@ -304,7 +305,7 @@ def _prefer_typed(node: Node, known: Container[str]) -> None:
     file, `-p cmd_vel_timeout:=0.25` would be lost without a word.
     """
     overrides = node._parameter_overrides
-    for name, value in typed(sys.argv[1:], node.get_name()).items():
+    for name, value in typed_parameters(sys.argv[1:], node.get_name()).items():
         if name in known and name in overrides:
             one = rclpy.Parameter(name, value=value)
             if one.type_ != overrides[name].type_:
@@ -322,11 +323,11 @@ def declare(node: Node, parameters: Sequence[Parameter],
     known = {parameter.name: parameter for parameter in parameters}
     values = {}
     try:
-        check(settings_files(sys.argv[1:]), node.get_fully_qualified_name())
+        check_sections(settings_files(sys.argv[1:]), node.get_fully_qualified_name())
     except SettingsError as error:
         raise ParameterError(str(error)) from error
     _prefer_typed(node, known)
-    wanted = given(node)
+    wanted = given_parameters(node)
     for parameter in parameters:
         if parameter.name in wanted:    # before rclpy does: its words name no remedy
             node._parameter_overrides[parameter.name] = _stored(
@@ -334,7 +335,7 @@ def declare(node: Node, parameters: Sequence[Parameter],
         declared = node.declare_parameter(
             parameter.name, _default(parameter), _descriptor(parameter))
         values[parameter.name] = convert(parameter, declared.value)
-    for line in unknown(list(known), [one for one in wanted if not one.startswith(_OVERRIDES)]):
+    for line in unknown_names([*known], [one for one in wanted if not one.startswith(_OVERRIDES)]):
         node.get_logger().warning(line)
 
     def before_set(changed: list[Any]) -> list[Any]:
@@ -393,13 +394,13 @@ class _Signals:
         os.set_blocking(self._write_fd, False)
         self._thread: threading.Thread | None = None
         signal.set_wakeup_fd(self._write_fd, warn_on_full_buffer=False)
-        for number in (*ENDING, signal.SIGTSTP):
+        for number in (*ENDING_SIGNALS, signal.SIGTSTP):
             signal.signal(number, lambda *_: None)      # the pipe has the news
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)      # see hold_signals
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING_SIGNALS)      # see hold_signals
         return self
 
     def __exit__(self, *_: object) -> None:
-        for number in (*ENDING, signal.SIGTSTP):
+        for number in (*ENDING_SIGNALS, signal.SIGTSTP):
             signal.signal(number, signal.SIG_IGN)       # the end is not interrupted
         signal.set_wakeup_fd(-1)
         os.close(self._write_fd)
@@ -416,7 +417,7 @@ class _Signals:
     def _act(self, app: Stoppable, end: Callable[[], None]) -> None:
         ending = False
         while numbers := os.read(self._read_fd, 64):
-            if not ending and any(number in ENDING for number in numbers):
+            if not ending and any(number in ENDING_SIGNALS for number in numbers):
                 ending = True
                 app.stop()              # before the executor: it may be busy for seconds
                 end()

@@ -22,13 +22,13 @@ class SettingsError(Exception):
     """A settings file that cannot be used: 'thing: reason; remedy'."""
 
 
-def check(files: Sequence[str], node: str) -> None:
+def check_sections(files: Sequence[str], node: str) -> None:
     """
     Raise SettingsError when there are files and none has a section for a node, by its full name.
 
     Such a file changes nothing, in silence: limits that a user set would not be in force.
     """
-    headers = [header for file in files for header in _headers(_composed(file))]
+    headers = [header for file in files for header in _headers(_read_yaml(file))]
     if files and not any(_fits(header, node) for header in headers):
         what = f'it is for {", ".join(headers)}' if headers else 'it has no ros__parameters'
         raise SettingsError(f"{', '.join(files)}: has no parameters for the node {node}, {what}; "
@@ -50,14 +50,14 @@ def _headers(node: yaml.Node | None, above: str = '') -> Iterator[str]:
             yield from _headers(value, f'{above}/{str(key.value).lstrip("/")}')
 
 
-def without(file: str, names: Iterable[str]) -> str:
+def without_parameters(file: str, names: Iterable[str]) -> str:
     """Return the text of a settings file without some parameters; '' if it has none of them."""
-    root = _composed(file)
+    root = _read_yaml(file)
     removed = _remove(root, frozenset(names), False) if root is not None else 0
     return str(yaml.serialize(root)) if removed else ''
 
 
-def _composed(file: str) -> yaml.Node | None:
+def _read_yaml(file: str) -> yaml.Node | None:
     """Return the YAML of a settings file."""
     try:
         with open(file, encoding='utf-8') as settings:

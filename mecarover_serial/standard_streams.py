@@ -22,12 +22,12 @@ import time
 
 from servobus.port.readable import readable
 
-_KEPT = 256 * 1024              # bytes that wait for their reader
-_PIPE = 1024 * 1024             # and those on their way here
-_AT_ONCE = 1024                 # a terminal or pipe that is writable has room for so much
-_LAST_S = 0.3                   # at the end, for what waits
+_WAITING_MAX_BYTES = 256 * 1024  # for their reader
+_PIPE_BYTES = 1024 * 1024       # and those on their way here
+_WRITE_MAX_BYTES = 1024         # a terminal or pipe that is writable has room for so much
+_FLUSH_MAX_S = 0.3              # at the end, for what waits
 _F_SETPIPE_SZ = 1031            # fcntl.F_SETPIPE_SZ, which Python 3.10 and later name
-_LOOK_MS = 20
+_FLUSH_POLL_MS = 20
 _COLOUR = 'RCUTILS_COLORIZED_OUTPUT'
 
 
@@ -62,23 +62,24 @@ class StandardStreams:
         for stream in (sys.stdout, sys.stderr):
             with suppress(OSError, ValueError):
                 stream.flush()
-        self._ending = time.monotonic() + _LAST_S
+        self._ending = time.monotonic() + _FLUSH_MAX_S
         os.eventfd_write(self._wake, 1)
-        self._thread.join(2 * _LAST_S)
+        self._thread.join(2 * _FLUSH_MAX_S)
         for relay in self._relays:
             relay.give_back()
 
     def _run(self) -> None:
         while self._ending is None or (
-                time.monotonic() < self._ending and any(relay.waits() for relay in self._relays)):
+                time.monotonic() < self._ending
+                and any(relay.has_waiting() for relay in self._relays)):
             poll = select.poll()
             if self._ending is None:
                 poll.register(self._wake, select.POLLIN)
             for relay in self._relays:
                 relay.register(poll)
-            for fd, _ in poll.poll(None if self._ending is None else _LOOK_MS):
+            for fd, _ in poll.poll(None if self._ending is None else _FLUSH_POLL_MS):
                 for relay in self._relays:
-                    relay.ready(fd)
+                    relay.handle_ready(fd)
 
 
 def _may_block(mode: int) -> bool:
@@ -95,7 +96,7 @@ class _StreamRelay:
         self._target = fcntl.fcntl(fd, fcntl.F_DUPFD_CLOEXEC, 3)
         self._source, self._pipe = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         with suppress(OSError):                 # more than a user may have
-            fcntl.fcntl(self._pipe, _F_SETPIPE_SZ, _PIPE)
+            fcntl.fcntl(self._pipe, _F_SETPIPE_SZ, _PIPE_BYTES)
         self._waiting = bytearray()
         self._lost = 0
 
@@ -105,7 +106,7 @@ class _StreamRelay:
         if fd == 2 and faulthandler.is_enabled():
             faulthandler.enable(self._target)   # after a crash no thread passes it on
 
-    def waits(self) -> bool:
+    def has_waiting(self) -> bool:
         """Whether something is not passed on yet."""
         return bool(self._waiting or self._lost or readable([self._source], 0))
 
@@ -114,7 +115,7 @@ class _StreamRelay:
         if self._waiting or self._lost:
             poll.register(self._target, select.POLLOUT)
 
-    def ready(self, fd: int) -> None:
+    def handle_ready(self, fd: int) -> None:
         if fd == self._source:
             self._receive()
         elif fd == self._target:
@@ -122,8 +123,8 @@ class _StreamRelay:
 
     def _receive(self) -> None:
         with suppress(BlockingIOError):
-            chunk = os.read(self._source, _KEPT)
-            if len(self._waiting) + len(chunk) > _KEPT:
+            chunk = os.read(self._source, _WAITING_MAX_BYTES)
+            if len(self._waiting) + len(chunk) > _WAITING_MAX_BYTES:
                 self._lost += chunk.count(b'\n')
             else:
                 self._waiting += chunk
@@ -134,7 +135,7 @@ class _StreamRelay:
                               'read it\n').encode()
             self._lost = 0
         try:
-            written = os.write(self._target, self._waiting[:_AT_ONCE])
+            written = os.write(self._target, self._waiting[:_WRITE_MAX_BYTES])
         except BlockingIOError:
             written = 0
         except OSError:                         # its reader has gone
@@ -143,7 +144,7 @@ class _StreamRelay:
 
     def give_back(self) -> None:
         """Have the descriptors be what they were; if that still takes nothing, it gets nothing."""
-        target = os.open(os.devnull, os.O_WRONLY) if self.waits() else self._target
+        target = os.open(os.devnull, os.O_WRONLY) if self.has_waiting() else self._target
         for fd in self._taken:
             os.dup2(target, fd)
         if 2 in self._taken and faulthandler.is_enabled():

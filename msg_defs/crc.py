@@ -54,7 +54,7 @@ def crc32_mpeg2_words(data: bytes) -> int:
     return crc32_mpeg2(words.tobytes())
 
 
-CRC_INPUTS: dict[str, Checksum] = {
+CRC_BY_INPUT: dict[str, Checksum] = {
     'bytes': crc32_mpeg2,
     'words': crc32_mpeg2_words,
 }

@@ -126,7 +126,7 @@ def namespace_of(node: str) -> str:
     return node.rpartition('/')[0]
 
 
-BUS_HARDWARE = 'servo bus '         # then its name, and for a device '/ID 11'
+BUS_HARDWARE_PREFIX = 'servo bus '  # then its name, and for a device '/ID 11'
 
 
 def hardware_id(node: str, *parts: str) -> str:
@@ -172,7 +172,7 @@ def unit_name(unit: str) -> str:
     return _UNIT_NAMES.get(unit) or re.sub('[^a-z0-9]+', '_', unit.lower())
 
 
-def headline(metric: Metric) -> float | None:
+def headline_figure(metric: Metric) -> float | None:
     """Return the one figure of a metric: its value, or the p95 of the window; None without."""
     figure = metric.window.p95 if metric.window is not None else metric.value
     return figure if figure is not None and isfinite(figure) else None
@@ -204,7 +204,7 @@ def _figures(prefix: str, unit: str, summary: Summary | None) -> Pairs:
 
 
 def _headline_text(metric: Metric) -> str:
-    figure = headline(metric)
+    figure = headline_figure(metric)
     if figure is None:
         return 'no data'
     text = f'{number(figure)} {metric.unit}'

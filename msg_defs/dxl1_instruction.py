@@ -4,9 +4,10 @@
 What an instruction of the Protocol 1.0 family asks for, in Dynamixel 1.0 and in Feetech.
 
 A dialect is a table: how the parameters of each code are laid out, who answers. The
-parameters of 2.0 say the same with wider addresses; common() puts them into that form, so that
-one tracker follows both. Sources: e-Manual, Protocol 1.0; Feetech, SCS Communication Protocol;
-the SDKs of both makers; USB2AX and ArbotiX, their firmware. No parameters raise an exception.
+parameters of 2.0 say the same with wider addresses; widen_params() puts them into that form, so
+that one tracker follows both. Sources: e-Manual, Protocol 1.0; Feetech, SCS Communication
+Protocol; the SDKs of both makers; USB2AX and ArbotiX, their firmware. No parameters raise an
+exception.
 """
 
 from collections.abc import Callable
@@ -147,7 +148,7 @@ def error_text(error: int, dialect: Dialect) -> str:
                      for bit in range(8) if error >> bit & 1)
 
 
-def common_error(error: int, dialect: Dialect) -> int:
+def protocol_2_error(error: int, dialect: Dialect) -> int:
     """Return an error byte as 2.0 would say it: the number of a refusal, and the alert bit."""
     number = next((number for bit, number in dialect.refusals.items() if error >> bit & 1), 0)
     state = error & ~sum(1 << bit for bit in dialect.refusals)
@@ -162,11 +163,11 @@ def fits(code: int, id: int, params: bytes, dialect: Dialect = UNDECIDED) -> boo
 
 def parse(code: int, id: int, params: bytes, dialect: Dialect = UNDECIDED) -> Request:
     """Return what an instruction asks for."""
-    kind, wide = in_common(code, id, params)
-    return understood(kind, code, id, wide, dialect)
+    kind, wide = widen_instruction(code, id, params)
+    return parse_widened(kind, code, id, wide, dialect)
 
 
-def common(code: int, params: bytes) -> bytes:
+def widen_params(code: int, params: bytes) -> bytes:
     """Return parameters that fit, with addresses and sizes as wide as those of 2.0."""
     if code in (0x02, 0x82, 0x83, ADAPTER_READ):
         return bytes((params[0], 0, params[1], 0)) + params[2:]
@@ -178,16 +179,16 @@ def common(code: int, params: bytes) -> bytes:
     return params
 
 
-def in_common(code: int, id: int, params: bytes) -> tuple[int, bytes]:
-    """Return of what kind the frame of an instruction is, and its parameters in common()."""
+def widen_instruction(code: int, id: int, params: bytes) -> tuple[int, bytes]:
+    """Return of what kind the frame of an instruction is, and its parameters in widen_params()."""
     entry = UNDECIDED.entries.get(code)
     if entry is not None and not entry.fits(id, params):
         return MALFORMED_1, params
-    return INSTRUCTION_1, common(code, params)
+    return INSTRUCTION_1, widen_params(code, params)
 
 
-def understood(kind: int, code: int, id: int, params: bytes, dialect: Dialect) -> Request:
-    """Return what an instruction in the form of in_common() asks for."""
+def parse_widened(kind: int, code: int, id: int, params: bytes, dialect: Dialect) -> Request:
+    """Return what an instruction in the form of widen_instruction() asks for."""
     entry = dialect.entries.get(code)
     if entry is None or kind == MALFORMED_1:
         return Request(code, id, Answers.NONE, malformed=entry is not None)

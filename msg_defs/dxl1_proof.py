@@ -54,7 +54,7 @@ class Detector:
         one.framer.held += one.frame[1] - one.frame[0]
         if not is_whole and len(self.streak) < PROOF_FRAMES \
                 and not (self._single >= PROOF_SINGLE_FRAMES
-                         and PROOF_SINGLE_FRAMES * self._single > one.framer.wrong):
+                         and PROOF_SINGLE_FRAMES * self._single > one.framer.failed_candidates):
             return False
         for held in self.streak[:-1]:
             held.framer.claim(held.frame)

@@ -21,8 +21,8 @@ from msg_defs.dxl1_packet import MIN_LENGTH
 from msg_defs.dxl1_proof import Candidate
 from msg_defs.dxl1_proof import Detector
 from msg_defs.dxl_packet import Framer
+from msg_defs.dxl_packet import HEADER_TAIL
 from msg_defs.dxl_packet import MAX_LENGTH
-from msg_defs.dxl_packet import TAIL
 from msg_defs.event import OUT
 from msg_defs.frame import ahead
 from msg_defs.frame import EITHER_1
@@ -57,7 +57,7 @@ class _BothFramer(Dxl1Framer):
 
     def is_whole(self, data: bytes) -> bool:
         """Tell whether data begin with a whole good frame."""
-        if self.two is not None and data.find(TAIL, 0, 4) >= 0:
+        if self.two is not None and data.find(HEADER_TAIL, 0, 4) >= 0:
             return self.two.is_whole(data)
         return super().is_whole(data)
 
@@ -69,7 +69,7 @@ class _BothFramer(Dxl1Framer):
     def _scan(self, data: bytes, final: bool) -> Frames:
         if self.two is None:
             return super()._scan(data, final)
-        found = self._scan_both(self.two, data, final) if TAIL in data \
+        found = self._scan_both(self.two, data, final) if HEADER_TAIL in data \
             else super()._scan(data, final)
         self._wanted = 0               # a packet of 2.0 may come before that
         return found
@@ -81,7 +81,7 @@ class _BothFramer(Dxl1Framer):
         done = at = 0                  # all in front of it is decided; the search goes on there
         while (begin := _BEGIN.search(data, at)) is not None:
             mark = begin.start()
-            tail = data.find(TAIL, mark, mark + 4)
+            tail = data.find(HEADER_TAIL, mark, mark + 4)
             is_2 = tail >= 0
             if (tail + 6 if is_2 else mark + 4) > size:
                 if not final:
@@ -95,7 +95,7 @@ class _BothFramer(Dxl1Framer):
             else:
                 length = data[mark + 3]
                 end = mark + 4 + length
-                inner = data.find(TAIL, mark + 4, end + 2)
+                inner = data.find(HEADER_TAIL, mark + 4, end + 2)
                 is_possible = length >= MIN_LENGTH and (
                     inner < 0 or not two.is_whole(data[inner:]))
             if is_possible and end > size and not final:
@@ -197,7 +197,7 @@ class MixedFramer:
         return self._two.packets + self._claimed
 
     @property
-    def has_first(self) -> bool:
+    def has_protocol_2(self) -> bool:
         """Whether there were packets of 2.0 on this wire."""
         return self._two.packets > 0
 
@@ -227,7 +227,7 @@ class MixedFramer:
         return self._one.noise_length
 
     @property
-    def wrong(self) -> int:
+    def failed_candidates(self) -> int:
         """How many candidates of the 1.0 family failed; of random ones 255 in 256 do."""
         return self._one.damaged['crc'] + self._one.damaged['cut']
 

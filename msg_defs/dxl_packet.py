@@ -32,7 +32,7 @@ STATUS = 0x55
 MAX_LENGTH = 1024                  # in the Length field: the buffer of most devices, and the SDK's
 MAX_FRAME = MAX_LENGTH + 7
 
-TAIL = HEADER[1:]                  # what a header has left when the line turned round too late
+HEADER_TAIL = HEADER[1:]           # what a header has left when the line turned round too late
 HEADER_CRC = crc16(HEADER)
 _RUN = b'\xff\xff\xfd'
 _BEGUN = re.compile(rb'\xff\xff?\xfd?\Z')     # it may become a header
@@ -210,7 +210,7 @@ class Framer(StreamFramer):
 
     def is_whole(self, data: bytes) -> bool:
         """Tell whether data begin with a whole good frame, its header perhaps damaged."""
-        mark = data.find(TAIL)
+        mark = data.find(HEADER_TAIL)
         if not 0 <= mark < len(data) - 6:
             return False
         length = data[mark + 4] | data[mark + 5] << 8
@@ -234,7 +234,7 @@ class Framer(StreamFramer):
         sought = 0                 # else it is searched for from here
         judged = size - 5 if final else size - 6       # with its instruction, if that may come
         heads = b'\0%b\0\0' % data    # the first header may begin too late, the last end too early
-        while mark < judged or 0 <= (mark := data.find(TAIL, sought)) < judged:
+        while mark < judged or 0 <= (mark := data.find(HEADER_TAIL, sought)) < judged:
             head, number, length, code, error = _head_at(heads, mark)
             if head != _WHOLE:
                 is_flawed = True
@@ -284,9 +284,9 @@ class Framer(StreamFramer):
         """Return where the bytes begin that may still become a frame."""
         size = len(data)
         if mark < 0 and self.is_shared:
-            begun = _BEGUN.search(data, max(done, size - len(TAIL)))
+            begun = _BEGUN.search(data, max(done, size - len(HEADER_TAIL)))
             return begun.start() if begun else size
-        return max(done, mark - 1 if mark >= 0 else size - len(TAIL))
+        return max(done, mark - 1 if mark >= 0 else size - len(HEADER_TAIL))
 
     def _flaw(self, data: bytes, done: int, mark: int) -> Flaw:
         """Return what is unusual about a good frame: noise in front of it, a damaged header."""

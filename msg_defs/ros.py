@@ -25,7 +25,7 @@ from std_msgs.msg import Float64
 
 from msg_defs.diagnostics import ALL
 from msg_defs.diagnostics import HEADLINE
-from msg_defs.diagnostics import headline
+from msg_defs.diagnostics import headline_figure
 from msg_defs.diagnostics import Joint
 from msg_defs.diagnostics import Level
 from msg_defs.diagnostics import Metric
@@ -76,7 +76,7 @@ def full_name(node: Any) -> str:
     return str(node.get_fully_qualified_name()).lstrip('/')
 
 
-def slices(statuses: Sequence[Status]) -> list[list[Status]]:
+def slice_statuses(statuses: Sequence[Status]) -> list[list[Status]]:
     """
     Cut a report into equal slices of at most 30 statuses and 60 kB, one for each message.
 
@@ -120,7 +120,7 @@ class DiagnosticArrays:
 
     def build(self, statuses: Sequence[Status], stamp: Time) -> Iterator[DiagnosticArray]:
         """Yield the messages of a report, a slice in each."""
-        for some in slices(statuses):
+        for some in slice_statuses(statuses):
             yield self.array(some, stamp)
 
     def array(self, statuses: Iterable[Status], stamp: Time) -> DiagnosticArray:
@@ -200,7 +200,7 @@ def _statistics(metric: Metric) -> tuple[float, ...]:
     window = metric.window
     if window is not None:
         return window.mean, window.maximum, window.minimum, window.count, window.deviation
-    value = headline(metric)
+    value = headline_figure(metric)
     return (nan, nan, nan, 0, nan) if value is None else (value, nan, nan, 1, nan)
 
 
@@ -243,7 +243,7 @@ class TimingPublisher:
     def _publish_headline(self, metric: Metric) -> None:
         topic = self._topic('timing', metric, f'{metric.name}_{unit_name(metric.unit)}')
         publisher = self._publisher(Float64, topic)     # a tool lists it, with data or without
-        figure = headline(metric)
+        figure = headline_figure(metric)
         if figure is not None:
             publisher.publish(Float64(data=float(figure)))
 

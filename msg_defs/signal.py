@@ -9,7 +9,7 @@ from struct import Struct
 from typing import NamedTuple
 
 SPAN_S = 60.0
-KEPT = 60_000                       # points: 60 s at 1 kHz
+POINTS_MAX = 60_000                 # 60 s at 1 kHz
 POINT = Struct('<dd')                # s, value
 
 
@@ -33,7 +33,7 @@ class PointRing:
         self._first = 0
         self.is_written = False
 
-    def add(self, at_s: float, value: float, kept: int = KEPT) -> None:
+    def add(self, at_s: float, value: float, kept: int = POINTS_MAX) -> None:
         """Add a point, and forget what is older than a minute, or more than what is kept."""
         data = self._data
         if not data:

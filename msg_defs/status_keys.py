@@ -56,7 +56,7 @@ PART = 'part'
 FINDING = 'finding.'               # then the rule
 SEVERITY = 'severity.'             # then the rule: warn or error
 DOUBT = 'cannot tell.'             # then the rule
-SICK = 'device '                   # then its name: what is wrong with it, in the status of the bus
+DEVICE_PROBLEM = 'device '         # in the status of the bus; then its name
 ERROR = 'error '                   # then a number: an entry of the error log
 
 

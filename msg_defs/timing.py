@@ -20,7 +20,7 @@ from math import sqrt
 from typing import NamedTuple
 
 SLICES = 10                 # in a window: it slides in steps of a tenth
-LIMIT = 1e12                # larger values are refused, as NaN and infinities are
+VALUE_MAX = 1e12            # larger values are refused, as NaN and infinities are
 _SMALLEST = 1e-6            # buckets are not much narrower than a fortieth of this
 _PER_E = 1 / log(1.025)     # buckets per factor of e; the width of one bounds a percentile's error
 
@@ -129,7 +129,7 @@ class Series:
         self._state: tuple[_Partial | None, tuple[_Slice, ...]] = (None, ())
 
     def add(self, value: float, now_ns: int) -> None:
-        if not -LIMIT < value < LIMIT:
+        if not -VALUE_MAX < value < VALUE_MAX:
             return
         if now_ns >= self._end:
             self._open_slice(value, now_ns)

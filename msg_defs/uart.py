@@ -5,7 +5,7 @@
 BITS_PER_BYTE = 10                 # 8N1
 IDLE_S = 0.02
 IDLE_BYTES = 20
-SLOWEST = 9600                     # bit/s, of a servo bus
+SLOWEST_BAUD = 9600                # bit/s, of a servo bus
 
 
 def byte_ns(baud: int) -> float:
@@ -19,7 +19,8 @@ def idle_s(baud: int, latency_timer_ms: float = 0) -> float:
 
     latency_timer_ms: for how long a USB adapter keeps bytes back; twice that may pass between two.
     """
-    return max(IDLE_S, 2e-3 * latency_timer_ms, IDLE_BYTES * BITS_PER_BYTE / (baud or SLOWEST))
+    return max(IDLE_S, 2e-3 * latency_timer_ms,
+               IDLE_BYTES * BITS_PER_BYTE / (baud or SLOWEST_BAUD))
 
 
 def heard_at(data: bytes, ratio: float) -> bytes:

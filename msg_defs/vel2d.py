@@ -29,7 +29,7 @@ STOP = Vel2d(0.0, 0.0, 0.0)
 
 
 def encode(velocity: Vel2d, crc: Checksum = crc32_mpeg2) -> bytes:
-    """Return the 28 bytes of the frame; `crc` is one of msg_defs.crc.CRC_INPUTS."""
+    """Return the 28 bytes of the frame; `crc` is one of msg_defs.crc.CRC_BY_INPUT."""
     values = _VALUES.pack(*velocity)
     return values + _CRC.pack(crc(values))
 

@@ -16,7 +16,7 @@ import json
 from typing import NamedTuple
 
 from msg_defs import status_keys as keys
-from msg_defs.diagnostics import BUS_HARDWARE
+from msg_defs.diagnostics import BUS_HARDWARE_PREFIX
 from msg_defs.diagnostics import hardware_id
 from msg_defs.diagnostics import Level
 from msg_defs.diagnostics import Metric
@@ -129,14 +129,14 @@ def _bus_name(bus: str, port: PortState) -> str:
 
 
 def _hardware_id(node: str, bus: str, device: DeviceReport | None = None) -> str:
-    return hardware_id(node, f'{BUS_HARDWARE}{bus}', f'ID {device.id}' if device else '')
+    return hardware_id(node, f'{BUS_HARDWARE_PREFIX}{bus}', f'ID {device.id}' if device else '')
 
 
 def _sick(devices: Iterable[DeviceReport]) -> Pairs:
     """Spell what is wrong with the worst devices: their own statuses are further down."""
     sick = sorted((one for one in devices if one.level is not Level.OK),
                   key=lambda one: -SEVERITY.index(one.level))
-    return [(keys.SICK + one.name, f'{one.level.name.lower()}: {one.message}')
+    return [(keys.DEVICE_PROBLEM + one.name, f'{one.level.name.lower()}: {one.message}')
             for one in sick[:SICK_MAX]]
 
 

@@ -11,7 +11,7 @@ from harness import wait
 import pytest
 from running_bridge import bridge
 
-from msg_defs.crc import CRC_INPUTS
+from msg_defs.crc import CRC_BY_INPUT
 from msg_defs.mcu_report import McuReport
 from msg_defs.mcu_report import parse_report
 from msg_defs.vel2d import encode
@@ -45,7 +45,7 @@ def run(simulator, image, what):
 
 
 def frame(*velocity):
-    return encode(Vel2d(*velocity), CRC_INPUTS['bytes']).hex()
+    return encode(Vel2d(*velocity), CRC_BY_INPUT['bytes']).hex()
 
 
 def test_a_double_of_4_bytes(simulator, tmp_path):

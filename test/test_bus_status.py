@@ -107,7 +107,7 @@ def test_the_bus_begins_with_what_is_wrong():
     assert bus.values[:3] == [('Port', 'port'), ('State', 'open'),
                               ('device 003', 'error: no answer')]
     bus, _ = statuses(PortState('port', 'lost', ()), level=Level.ERROR, message='no answer')
-    assert [key for key, _ in bus.values if key.startswith(keys.SICK)] == []
+    assert [key for key, _ in bus.values if key.startswith(keys.DEVICE_PROBLEM)] == []
 
 
 def test_behind_a_closed_port_devices_are_not_called_unasked():

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from msg_defs.diagnostics import hardware_id
-from msg_defs.diagnostics import headline
+from msg_defs.diagnostics import headline_figure
 from msg_defs.diagnostics import Level
 from msg_defs.diagnostics import Metric
 from msg_defs.diagnostics import metric_status
@@ -103,6 +103,6 @@ def test_status_of_a_series():
 
 
 def test_headline_is_the_value_or_the_p95_of_the_window():
-    assert headline(Metric('frame_rate', 'Hz', value=20.0)) == 20.0
-    assert headline(Metric('write', 'ms', series_of([2.0]).summary(0))) == 2.0
-    assert headline(Metric('write', 'ms', None, series_of([2.0]).total())) is None
+    assert headline_figure(Metric('frame_rate', 'Hz', value=20.0)) == 20.0
+    assert headline_figure(Metric('write', 'ms', series_of([2.0]).summary(0))) == 2.0
+    assert headline_figure(Metric('write', 'ms', None, series_of([2.0]).total())) is None

@@ -8,15 +8,15 @@ from hypothesis import strategies as st
 from packets import instructions_of
 import pytest
 
-from msg_defs.dxl1_instruction import common
-from msg_defs.dxl1_instruction import common_error
 from msg_defs.dxl1_instruction import DIALECTS
 from msg_defs.dxl1_instruction import DYNAMIXEL_1
 from msg_defs.dxl1_instruction import error_text
 from msg_defs.dxl1_instruction import FEETECH
 from msg_defs.dxl1_instruction import fits
 from msg_defs.dxl1_instruction import parse
+from msg_defs.dxl1_instruction import protocol_2_error
 from msg_defs.dxl1_instruction import UNDECIDED
+from msg_defs.dxl1_instruction import widen_params
 from msg_defs.dxl1_packet import BROADCAST
 from msg_defs.dxl_instruction import Access
 from msg_defs.dxl_instruction import Answers
@@ -36,7 +36,7 @@ def test_both_dialects_understand(code, number, params, answers, accesses):
         assert (request.answers.name, request.accesses) == (answers, accesses)
         assert not request.malformed
     # The other protocol, parsed by its own rules, says the same; it has options to a reset.
-    said = parse_2(code, number, common(code, params))
+    said = parse_2(code, number, widen_params(code, params))
     assert (said.answers.name, said.accesses, said.malformed) == (answers, accesses, False)
 
 
@@ -44,10 +44,10 @@ def test_what_only_one_of_them_has():
     bulk, sync = b'\0\2\1\x1e\2\2\x24', b'\x38\2\1\2\3'
     asked = (Access(1, 30, 2, None), Access(2, 36, 2, None))
     assert parse(0x92, BROADCAST, bulk, DYNAMIXEL_1).accesses == asked
-    assert parse_2(0x92, BROADCAST, common(0x92, bulk)).accesses == asked
+    assert parse_2(0x92, BROADCAST, widen_params(0x92, bulk)).accesses == asked
     asked = tuple(Access(one, 56, 2, None) for one in (1, 2, 3))
     assert parse(0x82, BROADCAST, sync, FEETECH).accesses == asked
-    assert parse_2(0x82, BROADCAST, common(0x82, sync)).accesses == asked
+    assert parse_2(0x82, BROADCAST, widen_params(0x82, sync)).accesses == asked
     assert not fits(0x92, BROADCAST, bulk, FEETECH)
     assert not fits(0x82, BROADCAST, sync, DYNAMIXEL_1)
     for code in (0x09, 0x0A, 0x0B):
@@ -70,7 +70,7 @@ def test_an_error_byte_is_a_set_of_flags():
     (0x02, FEETECH, 0x80), (0x08, FEETECH, 0x80), (0x21, FEETECH, 0x80), (0x01, UNDECIDED, 0x80),
 ])
 def test_what_refuses_an_instruction_and_what_tells_a_state(error, dialect, said):
-    assert common_error(error, dialect) == said
+    assert protocol_2_error(error, dialect) == said
 
 
 @settings(max_examples=500)
@@ -82,4 +82,4 @@ def test_nothing_raises_and_2_0_says_the_same(code, number, params, dialect):
     assert request.malformed == (code in dialect.entries
                                  and not fits(code, number, params, dialect))
     if fits(code, number, params, dialect):
-        assert parse_2(code, number, common(code, params)).accesses == request.accesses
+        assert parse_2(code, number, widen_params(code, params)).accesses == request.accesses

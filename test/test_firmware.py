@@ -11,7 +11,7 @@ import subprocess
 from harness import output_of
 import pytest
 
-from msg_defs.crc import CRC_INPUTS
+from msg_defs.crc import CRC_BY_INPUT
 from msg_defs.mcu_report import parse_report
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import STOP
@@ -58,7 +58,7 @@ def test_a_double_of_8_bytes_and_of_4(tmp_path, is_float, expected):
                for value in sent if abs(value) < 2.0 ** 128)
     program = compiled(tmp_path, RIG / 'values.c', *SANITIZERS, f'-DVEL2D_FLOAT={is_float}')
     done = subprocess.run([program], check=True, capture_output=True, input=b''.join(
-        encode(Vel2d(value, 0.0, value), CRC_INPUTS['bytes']) for value in sent))
+        encode(Vel2d(value, 0.0, value), CRC_BY_INPUT['bytes']) for value in sent))
     read = struct.iter_unpack('<3d', bytes.fromhex(done.stdout.decode()))
     assert [f'{one} {two}' for one, _, two in read] == [
         f'{value} {value}' for value in map(expected, sent)]
@@ -92,7 +92,7 @@ def run(program, what):
 @pytest.mark.parametrize('name', EXAMPLES)
 def test_examples(tmp_path, name):
     """It drives, also after overruns; bad frames and silence stop it; it drives again."""
-    crc = CRC_INPUTS[EXAMPLES[name]]
+    crc = CRC_BY_INPUT[EXAMPLES[name]]
     good = encode(DRIVE, crc)
     bad = [good[:-1], good[:10] + b'!' + good[11:], *(
         encode(DRIVE._replace(x=value), crc) for value in (math.nan, math.inf, 2e6))]
@@ -111,6 +111,6 @@ def test_examples(tmp_path, name):
 @pytest.mark.parametrize('name', EXAMPLES)
 def test_after_a_reset_it_drives_with_the_first_whole_frame(tmp_path, name):
     """An Arduino resets where its port is opened: what comes before it listens is lost."""
-    good = encode(DRIVE, CRC_INPUTS[EXAMPLES[name]]).hex()
+    good = encode(DRIVE, CRC_BY_INPUT[EXAMPLES[name]]).hex()
     between, _ = run(example(tmp_path, name), {20: good[30:], 70: good, 120: good, 200: 'end'})
     assert between(0, 69) == {STOP} and between(90, 190) == {DRIVE}

@@ -10,8 +10,8 @@ import yaml
 
 from mecarover_serial.parameters import convert
 from mecarover_serial.parameters import Parameter
-from mecarover_serial.parameters import typed
-from mecarover_serial.parameters import unknown
+from mecarover_serial.parameters import typed_parameters
+from mecarover_serial.parameters import unknown_names
 from servobus.bus.expected import refuse_twice
 from servobus.errors import ParameterError
 
@@ -45,10 +45,10 @@ def test_refused_in_one_line(name, raw):
 
 def test_unknown_names():
     names = [PORT.name, BAUD.name]
-    assert unknown(names, ['port', 'use_sim_time', 'start_type_description_service']) == []
-    assert unknown(names, ['prot']) == [
+    assert unknown_names(names, ['port', 'use_sim_time', 'start_type_description_service']) == []
+    assert unknown_names(names, ['prot']) == [
         'prot: no such parameter, ignored; did you mean port?']
-    assert unknown(names, ['zzz']) == [
+    assert unknown_names(names, ['zzz']) == [
         'zzz: no such parameter, ignored; there are: port, baud']
 
 
@@ -73,4 +73,4 @@ def test_words_for_people():
 @pytest.mark.parametrize(('words', 'values'), yaml.safe_load(
     Path(__file__).with_name('typed_parameters.yaml').read_text(encoding='utf-8')))
 def test_what_the_command_line_says(words, values):
-    assert typed(words.split(), 'bridge') == values
+    assert typed_parameters(words.split(), 'bridge') == values

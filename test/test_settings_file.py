@@ -10,9 +10,9 @@ import yaml
 
 from mecarover_serial.launch_arguments import refuse_unknown
 from mecarover_serial.launch_arguments import UnknownArgument
-from mecarover_serial.settings_text import check
+from mecarover_serial.settings_text import check_sections
 from mecarover_serial.settings_text import SettingsError
-from mecarover_serial.settings_text import without
+from mecarover_serial.settings_text import without_parameters
 
 ROWS = yaml.safe_load(
     Path(__file__).with_name('settings_headers.yaml').read_text(encoding='utf-8'))
@@ -43,7 +43,7 @@ def file(tmp_path):
 
 
 def test_what_is_overridden_goes_and_all_else_stays_as_it_is_written(file):
-    rest = without(file(FILE), ['port', 'baud'])
+    rest = without_parameters(file(FILE), ['port', 'baud'])
     assert yaml.safe_load(rest) == {
         '/**': {'ros__parameters': {'max_rate': '3e1', 'name': '3e1', 'flag': True}},
         '/rover1/vel2d_bridge': {'ros__parameters': {'port_of_mine': 1}}, 'port': 'outside'}
@@ -53,7 +53,7 @@ def test_what_is_overridden_goes_and_all_else_stays_as_it_is_written(file):
 
 @pytest.mark.parametrize('text', ['', '# nothing\n', FILE])
 def test_a_file_without_them_needs_no_copy(text, file):
-    assert without(file(text), ['baud']) == ''
+    assert without_parameters(file(text), ['baud']) == ''
 
 
 @pytest.mark.parametrize(('text', 'words'), [
@@ -62,7 +62,7 @@ def test_a_file_without_them_needs_no_copy(text, file):
     ('a: "\\U99999999"', 'too large'), ('a: "\\U00999999"', 'not in range')])
 def test_what_is_no_settings_file_is_said(text, words, file):
     with pytest.raises(SettingsError, match=words):
-        without(file(text), ['port'])
+        without_parameters(file(text), ['port'])
 
 
 # A header, and the nodes it is for, of these two.
@@ -77,7 +77,7 @@ def test_a_file_with_nothing_for_a_node_is_refused(header, ours, file):
         expected = nullcontext() if node in ours else pytest.raises(
             SettingsError, match=f'{path}: has no parameters for the node {node}, it is for ')
         with expected:
-            check([of_another, path], node)
+            check_sections([of_another, path], node)
 
 
 @pytest.mark.ros
@@ -91,8 +91,8 @@ def test_rclpy_takes_a_header_alike(header, ours, file, ros):
 @pytest.mark.parametrize('text', ['', '# nothing', 'vel2d_bridge: {max_linear_x: 1}'])
 def test_a_file_without_parameters_is_refused(text, file):
     with pytest.raises(SettingsError, match=r'has no param.*, it has no ros__parameters; put'):
-        check([file(text)], NODES[0])
-    check([], NODES[0])
+        check_sections([file(text)], NODES[0])
+    check_sections([], NODES[0])
 
 
 NAMES = ['port', 'baud', 'config']

@@ -15,8 +15,8 @@ from tracked_bus import words
 
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
-from msg_defs.signal import KEPT
 from msg_defs.signal import PointRing
+from msg_defs.signal import POINTS_MAX
 from servobus.bus.decoder import Settings
 from servobus.bus.expected import Expected
 from servobus.model.models import Models
@@ -147,13 +147,13 @@ def test_the_past_begins_where_registers_began_to_mean_what_they_do():
 
 def test_memory_is_bounded_and_numbers_go_on():
     ring = PointRing()
-    for number in range(KEPT + 5000):
+    for number in range(POINTS_MAX + 5000):
         ring.add(number / 1000, float(number))
     found = ring.after(0, 0.0)
-    assert (found.first, len(found.data)) == (5000, KEPT * 16)
+    assert (found.first, len(found.data)) == (5000, POINTS_MAX * 16)
     assert next(struct.iter_unpack('<dd', found.data)) == (5.0, 5000.0)
-    assert ring.after(KEPT + 4999, 0.0).data == found.data[-16:]
-    assert ring.after(KEPT + 5000, 0.0).data == b''
+    assert ring.after(POINTS_MAX + 4999, 0.0).data == found.data[-16:]
+    assert ring.after(POINTS_MAX + 5000, 0.0).data == b''
     assert ring.after(10**12, 0.0) == found             # unknown: all
 
 

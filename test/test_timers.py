@@ -21,7 +21,7 @@ def test_a_call_comes_each_period_and_is_not_made_up_for(timers):
     called = []
     timers.add(1.0, lambda: called.append(now))
     for now in (10.9, 11.0, 11.9, 12.1, 12.9, 13.0, 19.5, 19.6, 20.4, 20.5):
-        timers.turn(now)
+        timers.call_due(now)
     assert called == [11.0, 12.1, 13.0, 19.5, 20.5]
 
 
@@ -34,7 +34,7 @@ def test_a_call_may_change_its_period(timers):
 
     one = timers.add(1.0, call)
     for now in (11.0, 11.2, 11.25, 11.5):
-        timers.turn(now)
+        timers.call_due(now)
     assert called == [11.0, 11.25, 11.5]
 
 

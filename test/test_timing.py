@@ -12,10 +12,10 @@ import threading
 
 import pytest
 
-from msg_defs.timing import LIMIT
 from msg_defs.timing import Rate
 from msg_defs.timing import Series
 from msg_defs.timing import SLICES
+from msg_defs.timing import VALUE_MAX
 
 S = 1_000_000_000
 MS = 1_000_000
@@ -83,7 +83,7 @@ def test_window_forgets_and_total_does_not():
     assert series.total().minimum == 1.0
 
 
-@pytest.mark.parametrize('value', [nan, inf, -inf, LIMIT, -LIMIT, 1e300])
+@pytest.mark.parametrize('value', [nan, inf, -inf, VALUE_MAX, -VALUE_MAX, 1e300])
 def test_what_is_no_sample_is_refused(value):
     series = Series()
     series.add(value, 0)

@@ -14,7 +14,7 @@ from msg_defs.crc import crc16
 from msg_defs.crc import CRC16_TABLE
 from msg_defs.crc import crc32_mpeg2
 from msg_defs.crc import crc32_mpeg2_words
-from msg_defs.crc import CRC_INPUTS
+from msg_defs.crc import CRC_BY_INPUT
 from msg_defs.crc import CRC_IS_FAST
 from msg_defs.vel2d import decode
 from msg_defs.vel2d import encode
@@ -51,17 +51,17 @@ def test_it_works_with_the_crcmod_of_debian_and_ubuntu(monkeypatch):
 
 @pytest.mark.parametrize(('feed', 'crc'), [('bytes', 0xCDF45F5A), ('words', 0xEF7857FA)])
 def test_thesis_vector(feed, crc):
-    frame = encode(THESIS, CRC_INPUTS[feed])
+    frame = encode(THESIS, CRC_BY_INPUT[feed])
     assert frame.hex() == ('000000000000e03f000000000000d0bf000000000000f03f'
                            + crc.to_bytes(4, 'little').hex())
-    assert decode(frame, CRC_INPUTS[feed]) == THESIS
+    assert decode(frame, CRC_BY_INPUT[feed]) == THESIS
 
 
 def test_ten_thousand_random_vectors():
     rng = random.Random(28)
     for _ in range(10_000):
         sent = Vel2d(*(rng.uniform(-1, 1) * 10 ** rng.randint(-300, 300) for _ in range(3)))
-        for crc in CRC_INPUTS.values():
+        for crc in CRC_BY_INPUT.values():
             assert decode(encode(sent, crc), crc) == sent
         values = encode(sent)[:24]
         assert crc32_mpeg2(values) == crc32(values)

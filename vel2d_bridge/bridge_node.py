@@ -25,7 +25,7 @@ from std_srvs.srv import Trigger
 from mecarover_serial.ros_node import declare
 from mecarover_serial.ros_node import GraphCheck
 from mecarover_serial.ros_node import warn_of_overrides
-from msg_defs.crc import CRC_INPUTS
+from msg_defs.crc import CRC_BY_INPUT
 from msg_defs.crc import CRC_IS_FAST
 from msg_defs.crc import SLOW_CRC_WARNING
 from msg_defs.diagnostics import Level
@@ -107,7 +107,7 @@ class Bridge:
         self._levels: list[Level] = []
         self._not_kept = ''                         # why switching off would not outlast a restart
         self._reported = 0.0
-        [self._other_crc_input] = {*CRC_INPUTS} - {self._values['crc_input']}
+        [self._other_crc_input] = {*CRC_BY_INPUT} - {self._values['crc_input']}
         self._link = self._make_link(deadman)
         if not self._link.gate.enabled:             # the file has said so: it is one switch
             self.node.set_parameters([Parameter('enabled', value=False)])
@@ -157,7 +157,7 @@ class Bridge:
         gate = Gate(gate_settings(values), baud=values['baud'], enabled=self._starts_enabled())
         return Link(
             values['port'], values['baud'], gate,
-            crc=CRC_INPUTS[values['crc_input']], write_timeout_s=values['write_timeout'],
+            crc=CRC_BY_INPUT[values['crc_input']], write_timeout_s=values['write_timeout'],
             deadman=deadman if values['deadman'] else None, on_sent=self._on_sent,
             on_received=self._mcu.feed, on_change=self._on_change)
 
@@ -279,7 +279,7 @@ class Bridge:
         self._log_changes()
         self._warn_of_new([*self._link_warnings(), *self._graph_complaints,
                            *self._subscriber.warnings])
-        crc = CRC_INPUTS[self._values['crc_input']]
+        crc = CRC_BY_INPUT[self._values['crc_input']]
         while self._sent:
             velocity = self._sent.popleft().velocity
             checksum = int.from_bytes(encode(velocity, crc)[-4:], 'little')

@@ -9,7 +9,7 @@ from typing import Any
 
 from mecarover_serial.parameters import Parameter
 from mecarover_serial.parameters import TIMING_PARAMETER
-from msg_defs.crc import CRC_INPUTS
+from msg_defs.crc import CRC_BY_INPUT
 from servobus.errors import ParameterError
 from vel2d_bridge.gate import GateSettings
 
@@ -43,7 +43,7 @@ PARAMETERS = (
               'a stop follows; never less than the time of two frames on the wire', 's', 0.005,
               1.0, run_time=True),
     Parameter('crc_input', 'bytes', 'how the MCU feeds its CRC unit; with the wrong one it '
-              'accepts stops only and never moves', choices=tuple(CRC_INPUTS)),
+              'accepts stops only and never moves', choices=tuple(CRC_BY_INPUT)),
     Parameter('enabled', True, 'whether commands are accepted; if not, the rover does not move '
               'and stops are still sent. The service ~/enable sets it too', run_time=True),
     Parameter('disabled_file', '', 'a file that exists while commands are switched off; a bridge '

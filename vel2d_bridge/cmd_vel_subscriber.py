@@ -26,7 +26,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from mecarover_serial.namesakes import node_name
 from mecarover_serial.ros_node import first_line
-from mecarover_serial.ros_node import given
+from mecarover_serial.ros_node import given_parameters
 from servobus.errors import ParameterError
 from vel2d_bridge.bridge_settings import TWIST
 from vel2d_bridge.bridge_settings import TWIST_STAMPED
@@ -168,7 +168,7 @@ def _clocks() -> tuple[int, int]:
 
 def _overridden(node: Node, topic: str) -> list[QoSPolicyKind]:
     """Return only the policies that are given: a declared default could follow no publisher."""
-    names = given(node)
+    names = given_parameters(node)
     return [policy for policy in QoSPolicyKind
             if f'qos_overrides.{topic}.subscription.{policy.name.lower()}' in names]
 

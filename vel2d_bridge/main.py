@@ -12,9 +12,9 @@ from collections.abc import Sequence
 import sys
 
 from mecarover_serial.node_command_line import answer
+from mecarover_serial.node_command_line import complain_no_process
+from mecarover_serial.node_command_line import complain_no_ros
 from mecarover_serial.node_command_line import hold_signals
-from mecarover_serial.node_command_line import no_process
-from mecarover_serial.node_command_line import no_ros
 from vel2d_bridge.bridge_settings import PARAMETERS
 from vel2d_bridge.deadman import Deadman
 from vel2d_bridge.supervisor import supervise
@@ -35,12 +35,12 @@ def main(args: Sequence[str] | None = None) -> int:
             return code
         deadman = Deadman()
     except OSError as error:
-        return no_process(NAME, error)
+        return complain_no_process(NAME, error)
     try:
         from mecarover_serial.ros_node import run
         from vel2d_bridge.bridge_node import Bridge
     except ImportError as error:
-        return no_ros(NAME, error)
+        return complain_no_ros(NAME, error)
     else:
         return run(NAME, lambda: Bridge(deadman), args)
     finally:

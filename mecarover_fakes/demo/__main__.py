@@ -32,7 +32,7 @@ from mecarover_fakes.demo.scenes import TakenSetPoint
 from mecarover_fakes.demo.scenes import TIME_OUT_BOUND_S
 from mecarover_fakes.domain_lock import DEMOS
 from mecarover_fakes.domain_lock import ReservedDomain
-from mecarover_serial.node_command_line import no_ros
+from mecarover_serial.node_command_line import complain_no_ros
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 from servobus.tools.cli import COULD_NOT_RUN
@@ -59,7 +59,7 @@ def _main(arguments: list[str]) -> int:
     try:
         from mecarover_fakes.demo.demo_node import Operator
     except ImportError as error:
-        return no_ros('demo', error)
+        return complain_no_ros('demo', error)
     operator = Operator()
     if operator.is_in_company():
         operator.close()

@@ -16,12 +16,12 @@ from collections.abc import Callable
 
 from msg_defs import dxl1_packet
 from msg_defs.dxl1_instruction import ADAPTER_IDS
-from msg_defs.dxl1_instruction import common_error
 from msg_defs.dxl1_instruction import fits
-from msg_defs.dxl1_instruction import in_common
 from msg_defs.dxl1_instruction import parse
+from msg_defs.dxl1_instruction import protocol_2_error
 from msg_defs.dxl1_instruction import STATUS_BITS
 from msg_defs.dxl1_instruction import UNDECIDED
+from msg_defs.dxl1_instruction import widen_instruction
 from msg_defs.dxl1_packet import BROADCAST
 from msg_defs.dxl1_packet import MIN_LENGTH
 from msg_defs.dxl1_proof import Candidate
@@ -156,7 +156,7 @@ class Dxl1Classifier:
 
     def _report_family(self, framer: AnyFramer, frame: Frame, stamp: int) -> None:
         """Note a packet of the 1.0 family on a bus that speaks 2.0 as well."""
-        if isinstance(framer, MixedFramer) and framer.has_first:
+        if isinstance(framer, MixedFramer) and framer.has_protocol_2:
             self._evidence.add_frequent(stamp, ev.PROTOCOL_1, frame[3], frame[4])
 
     def _count_first_byte_lost(self, framer: AnyFramer) -> None:
@@ -212,7 +212,7 @@ class Dxl1Classifier:
         awaited = self._awaited.get(number)
         if side == IN:
             if self._is_echo((number, code, params), awaited):
-                kind, params = in_common(code, number, params)
+                kind, params = widen_instruction(code, number, params)
                 return begin, end, kind, number, code, params, flaw
         elif side == OUT or awaited is None or code:
             ended = stamp - (received - end) * self._registry.byte_ns
@@ -268,7 +268,7 @@ class Dxl1Classifier:
         number, code, params = content
         if code == _SYNC_WRITE and self._choice.dialect is not UNDECIDED:
             self._request, self._awaited = _NOTHING, {}        # what a robot says most
-            return in_common(code, number, params)
+            return widen_instruction(code, number, params)
         known = self._meanings.get(content)
         if known is None:
             known = self._parse_instruction(content)
@@ -285,7 +285,7 @@ class Dxl1Classifier:
         request = parse(code, number, params, dialect)
         if choice.vote_by_instruction(request):
             self._decide()
-        known = *in_common(code, number, params), request, self._awaited_by(request)
+        known = *widen_instruction(code, number, params), request, self._awaited_by(request)
         if request.answers in _KNOWN_BY_PARAMETERS:
             if len(self._meanings) >= MEANINGS_KEPT:
                 self._meanings.clear()
@@ -311,7 +311,7 @@ class Dxl1Classifier:
         if error != self._errors.get(number, 0):
             self._registry.store_error_bits(number, dialect.error_at, error, stamp)
         self._errors[number] = error
-        return common_error(error, dialect) if error else 0
+        return protocol_2_error(error, dialect) if error else 0
 
     def _classify_damaged(self, frame: Frame, flaw: Flaw, side: str) -> Frame:
         """Return a damaged frame as what it most likely was."""

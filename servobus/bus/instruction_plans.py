@@ -14,7 +14,7 @@ from struct import Struct
 from typing import Any
 
 from msg_defs.dxl1_instruction import CALIBRATE
-from msg_defs.dxl1_instruction import understood
+from msg_defs.dxl1_instruction import parse_widened
 from msg_defs.dxl_instruction import Access
 from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import bulk_write_entries
@@ -107,7 +107,7 @@ class Planner:
         kind, id, code, params = raw
         if kind == INSTRUCTION_2:
             return parse(code, id, params)
-        return understood(kind, code, id, params, self._registry.dialect)
+        return parse_widened(kind, code, id, params, self._registry.dialect)
 
     def plans(self) -> list[Plan]:
         """Return the plans in use, with what is counted of them elsewhere brought up to date."""

@@ -19,7 +19,7 @@ import sys
 import tempfile
 
 from mecarover_fakes.guarded_receiver import GuardedReceiver
-from msg_defs.crc import CRC_INPUTS
+from msg_defs.crc import CRC_BY_INPUT
 from rigs.mcu.host import compiled
 from rigs.mcu.host import HERE
 
@@ -75,7 +75,7 @@ def compare(said):
             return int(number > 0)
         if what == b'S':
             reader = GuardedReceiver(
-                baud=BAUD, crc=CRC_INPUTS['words' if number else 'bytes'])
+                baud=BAUD, crc=CRC_BY_INPUT['words' if number else 'bytes'])
             continue
         for mine in verdicts(reader, what, number, data):
             other = next(said)

@@ -6,7 +6,7 @@ import struct
 
 from fuzz import reference
 from fuzz.script import Script
-from msg_defs.crc import CRC_INPUTS
+from msg_defs.crc import CRC_BY_INPUT
 from msg_defs.vel2d import decode
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import Vel2d
@@ -27,7 +27,7 @@ def check(data):
     """
     script = Script(data)
     name = script.pick(tuple(CRCS))
-    crc = CRC_INPUTS[name]
+    crc = CRC_BY_INPUT[name]
     bit, at = script.word() % (8 * SIZE), script.byte() % SIZE
     values = b''.join(value(script) for _ in range(3))
     frame = encode(Vel2d(*struct.unpack('<ddd', values)), crc)

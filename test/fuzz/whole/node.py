@@ -176,7 +176,7 @@ def through_node(case, folder):
                 clock.now += part
                 for bus in node._buses:
                     bus.listener._report_idle(clock.now)
-                node._timers.turn(clock.now / 1e9)
+                node._timers.call_due(clock.now / 1e9)
                 page.show_page(clock.now / 1e9)
             if one is not None:
                 clock.now += pause if pause <= 100_000_000 else 0
@@ -184,13 +184,13 @@ def through_node(case, folder):
                 node._buses[one.bus].listener.hear_chunk(one, stamp)
                 fed[one.bus] += len(one.data)
                 written.append((stamp, one.data, one.side, one.change))
-            node._timers.turn(clock.now / 1e9)
+            node._timers.call_due(clock.now / 1e9)
         for bus, size in zip(node._buses, fed, strict=True):
             report = bus.report(clock.now)
             all_counted(report.counters, size)
             assert not (case.is_noise and report.devices), 'a device is made up'
         node._reset_statistics(None, SimpleNamespace())
-        node._timers.turn(clock.now / 1e9 + 1)
+        node._timers.call_due(clock.now / 1e9 + 1)
         page.show_page(clock.now / 1e9)
         page.show_page(clock.now / 1e9 + 70)
         capture = node._recorders._all['Capture']
