@@ -113,8 +113,9 @@ class MonitorNode(Stoppable):
         self._overview_s = 0.0
         self._waiting: deque[list[Status]] = deque()    # slices of the report, not yet published
         self._period_s = 1.0 / values['publish_rate']
-        self._overview = self._publisher('/diagnostics')
-        self._tables = self._publisher('dxl/diagnostics')
+        self._overview, self._tables = (
+            self.node.create_publisher(DiagnosticArray, topic, QUEUE_DEPTH)
+            for topic in ('/diagnostics', 'dxl/diagnostics'))
         self._overview_arrays = DiagnosticArrays()
         self._table_arrays = DiagnosticArrays()
         self._timing = TimingPublisher(
@@ -148,9 +149,6 @@ class MonitorNode(Stoppable):
     def is_working(self) -> bool:
         """Tell whether reports are made and every port is listened to, or waited for."""
         return self._timers.is_alive() and all(one.listener.is_alive() for one in self._buses)
-
-    def _publisher(self, topic: str) -> Any:
-        return self.node.create_publisher(DiagnosticArray, topic, QUEUE_DEPTH)
 
     def _start_joint_states(self, rate: float) -> list[JointStates]:
         """Return the publishers of joint states, none at rate 0; a timer works them."""

@@ -38,7 +38,7 @@ from mecarover_serial.launch_arguments import refuse_unknown
 from mecarover_serial.launch_arguments import SHARED
 from mecarover_serial.launch_arguments import typed_names
 from mecarover_serial.launch_arguments import YES
-from mecarover_serial.parameters import typed_parameters
+from mecarover_serial.parameters import parse_value
 from mecarover_serial.settings_text import check_sections
 from mecarover_serial.settings_text import SettingsError
 from mecarover_serial.settings_text import without_parameters
@@ -112,7 +112,8 @@ def _start(context: Any, node: LaunchedNode, names: dict[str, str]) -> list[Any]
     ours, theirs = ([settings], []) if is_ours else ([], [settings])
     if texts:
         theirs.append(_write_file(yaml.safe_dump(
-            {full_name: {'ros__parameters': _values(node.node, texts)}})))
+            {full_name: {'ros__parameters': {
+                name: parse_value(text) for name, text in texts.items()}}})))
     return [Node(
         package=PACKAGE, executable=node.node, name=given['name'],
         namespace=everything['namespace'], parameters=theirs,
@@ -123,12 +124,6 @@ def _start(context: Any, node: LaunchedNode, names: dict[str, str]) -> list[Any]
             *(['--enclave', given['enclave']] if given['enclave'] else [])],
         respawn=given['respawn'] in YES, respawn_delay=1.0, on_exit=_no_respawn_after_wrong_usage,
         output='screen')]
-
-
-def _values(node: str, texts: dict[str, str]) -> dict[str, Any]:
-    """Return the values of parameters as they are after -p on a command line."""
-    words = [word for name, text in texts.items() for word in ('-p', f'{name}:={text}')]
-    return typed_parameters(['--ros-args', *words], node)
 
 
 def _settings_without(file: str, overridden: Iterable[str], node: str) -> str:

@@ -110,38 +110,30 @@ def typed_parameters(arguments: Sequence[str], node: str) -> dict[str, Any]:
             name, _, text = value.partition(':=')
             where, _, name = name.rpartition(':')
             if where.lstrip('/') in ('', '**', '*', node):
-                found[name] = _parsed(text)
+                found[name] = parse_value(text)
     return found
 
 
-def _parsed(text: str) -> Any:
+def parse_value(text: str) -> Any:
     """Return a value as rcl reads it: for PyYAML alone 1e-3 is a text and 2026-11-28 a date."""
-    with suppress(ValueError):
-        return _as_number(text)
     import yaml  # dxl_tap starts without it
-    with suppress(Exception):           # PyYAML has many besides its own YAMLError
-        node = yaml.compose(text)
-        if isinstance(node, yaml.SequenceNode):
-            return [_plain(one) for one in node.value]
-        if isinstance(node, yaml.ScalarNode):
-            return _plain(node)
+    with suppress(Exception):           # no YAML, a mapping: PyYAML raises more than YAMLError
+        node: Any = yaml.compose(text)
+        return [_plain(one) for one in node.value] if node.id == 'sequence' else _plain(node)
     return text
-
-
-def _as_number(text: str) -> int | float:
-    if text.lstrip('+-').isdigit():
-        return int(text)
-    return int(text, 16) if text.startswith('0x') else float(text)
 
 
 def _plain(node: Any) -> Any:
     """Return a scalar of YAML: in quotes it is text."""
-    text: str = node.value
-    if node.style is None:
-        if node.tag.endswith(':bool'):
-            return text.lower() in ('true', 'yes', 'on')
-        with suppress(ValueError):
-            return _as_number(text)
+    text = node.value
+    if node.style:
+        return text
+    if node.tag.endswith(':bool'):
+        return text.lower() in ('true', 'yes', 'on')
+    with suppress(ValueError):
+        return int(text, 0)
+    with suppress(ValueError):
+        return float(text)
     return text
 
 
@@ -175,13 +167,14 @@ def _is_in_range(parameter: Parameter, value: Any) -> bool:
 
 
 def _error_line(parameter: Parameter, raw: Any) -> str:
-    shown = repr(raw) if len(repr(raw)) < 60 else repr(raw)[:57] + '...'
-    takes = f'a {parameter.type_name}' if parameter.type_name[0] != 'i' \
-        else f'an {parameter.type_name}'
+    shown = repr(raw)
+    if len(shown) >= 60:
+        shown = shown[:57] + '...'
+    article = 'an' if parameter.type_name[0] == 'i' else 'a'
     limits = f' ({parameter.range_text})' if parameter.range_text else ''
     unit = f' in {parameter.unit}' if parameter.unit else ''
     return (f'{parameter.name}: {shown} is not possible; '
-            f'set {takes}{unit}{limits}, e.g. {_example(parameter)}')
+            f'set {article} {parameter.type_name}{unit}{limits}, e.g. {_example(parameter)}')
 
 
 def _example(parameter: Parameter) -> str:

@@ -26,7 +26,6 @@ _WAITING_MAX_BYTES = 256 * 1024  # for their reader
 _PIPE_BYTES = 1024 * 1024       # and those on their way here
 _WRITE_MAX_BYTES = 1024         # a terminal or pipe that is writable has room for so much
 _FLUSH_MAX_S = 0.3              # at the end, for what waits
-_F_SETPIPE_SZ = 1031            # fcntl.F_SETPIPE_SZ, which Python 3.10 and later name
 _FLUSH_POLL_MS = 20
 _COLOUR = 'RCUTILS_COLORIZED_OUTPUT'
 
@@ -96,7 +95,7 @@ class _StreamRelay:
         self._target = fcntl.fcntl(fd, fcntl.F_DUPFD_CLOEXEC, 3)
         self._source, self._pipe = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         with suppress(OSError):                 # more than a user may have
-            fcntl.fcntl(self._pipe, _F_SETPIPE_SZ, _PIPE_BYTES)
+            fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
         self._waiting = bytearray()
         self._lost = 0
 

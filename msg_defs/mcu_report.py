@@ -25,9 +25,7 @@ class McuReport(NamedTuple):
     stops: int = 0              # by its watchdog
 
     def line(self) -> str:
-        version, state, good, bad, refused, stops = self
-        return (f'vel2d receiver {version}: {state}, {good} good, {bad} bad, {refused} refused, '
-                f'{stops} stops')
+        return 'vel2d receiver {}: {}, {} good, {} bad, {} refused, {} stops'.format(*self)
 
 
 def parse_report(line: str) -> McuReport | None:

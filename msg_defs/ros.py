@@ -36,6 +36,7 @@ from msg_defs.diagnostics import Status
 from msg_defs.diagnostics import topic_names
 from msg_defs.diagnostics import unit_name
 from msg_defs.status_keys import PART
+from msg_defs.timing import WINDOW_S
 
 try:
     import statistics_msgs.msg as statistics_msgs
@@ -50,7 +51,6 @@ QUEUE_DEPTH = 10                # publishers: reliable, keep last
 # at each time it wakes. Of those with plain figures there are many.
 _NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 _LEVELS = {level: bytes([level]) for level in Level}    # DiagnosticStatus.level is a byte string
-_WINDOW_NS = 10_000_000_000        # figures are of so long a time
 _LAST_TIME = ((1 << 31) - 1) * 1_000_000_000          # the sec of a Time is an int32
 _UNSAFE = re.compile('[\0\ud800-\udfff]')
 
@@ -165,9 +165,8 @@ def joint_state(joints: Sequence[Joint], stamp: Time) -> Any:
     from sensor_msgs.msg import JointState  # here: 30 modules that most nodes do without
     message = JointState(name=[safe_text(joint.name) for joint in joints])
     message.header.stamp = stamp
-    message.position = _column([joint.position for joint in joints])
-    message.velocity = _column([joint.velocity for joint in joints])
-    message.effort = _column([joint.effort for joint in joints])
+    for name in ('position', 'velocity', 'effort'):
+        setattr(message, name, _column([getattr(joint, name) for joint in joints]))
     return message
 
 
@@ -234,7 +233,7 @@ class TimingPublisher:
         statuses = [metric_status(name, metric) for metric in metrics]
         for array in self._arrays.build(statuses, stamp):
             self._publisher(DiagnosticArray, 'timing').publish(array)
-        start = to_time(now_ros - _WINDOW_NS)
+        start = to_time(now_ros - int(1e9) * WINDOW_S)
         for metric in metrics:
             if not metric.device:
                 self._publish_headline(metric)

@@ -19,6 +19,7 @@ from math import sinh
 from math import sqrt
 from typing import NamedTuple
 
+WINDOW_S = 10
 SLICES = 10                 # in a window: it slides in steps of a tenth
 VALUE_MAX = 1e12            # larger values are refused, as NaN and infinities are
 _SMALLEST = 1e-6            # buckets are not much narrower than a fortieth of this
@@ -120,7 +121,7 @@ def _summary(part: _Partial | None) -> Summary | None:
 class Series:
     """Samples of one quantity."""
 
-    def __init__(self, window_s: float = 10.0) -> None:
+    def __init__(self, window_s: float = WINDOW_S) -> None:
         self._width = int(window_s * 1e9 / SLICES)
         self._slice = _Slice(0, 0.0)
         # Slices that take no more, and what they come to: so a second look costs one slice.
@@ -178,7 +179,7 @@ class Series:
 class Rate:
     """Amounts per second over a sliding window: packets, bytes, errors."""
 
-    def __init__(self, window_s: float = 10.0) -> None:
+    def __init__(self, window_s: float = WINDOW_S) -> None:
         self._width = int(window_s * 1e9 / SLICES)
         self._end = 0
         self._started: int | None = None

@@ -7,25 +7,16 @@ Its monitor holds its lock over each call, but for metrics(). Stamps and now are
 """
 
 from collections import deque
-from typing import NamedTuple
 
 from msg_defs.diagnostics import Metric
 from msg_defs.dxl_packet import REASONS
 from msg_defs.timing import Series
+from msg_defs.timing import WINDOW_S
 from servobus.bus import evidence as ev
 from servobus.bus.decoder import BusDecoder
 
-WINDOW_S = 10
 TICK_NS = 1_000_000_000
 _SERIES = ('time_per_buffer', 'ms'), ('time_between_buffers', 'ms'), ('bytes_per_buffer', 'B')
-
-
-class Activity(NamedTuple):
-    """What a rate is worked out from: totals since start."""
-
-    bytes: int
-    packets: int
-    errors: int
 
 
 class BusStatistics:
@@ -44,7 +35,7 @@ class BusStatistics:
         self.reset(0)
 
     def reset(self, now: int) -> None:
-        """Start all at 0, but for what devices count."""
+        """Start all at 0, of the devices too."""
         self.started = now
         self.next_tick = 0
         self._planner.plans()                  # brings counts up to date that shall end here
@@ -52,14 +43,20 @@ class BusStatistics:
         self._base: dict[str, int] = {}
         self._base = self.counters()
         self._base['Bytes'] -= self._base.pop('Pending Bytes')     # these are counted again
-        self._ticks: deque[tuple[int, Activity]] = deque(maxlen=WINDOW_S)
-        self._series = [Series(WINDOW_S) for _ in _SERIES]
-        self.spent, self.between, self.sizes = self._series    # one value for each read
+        self._ticks: deque[tuple[int, dict[str, int]]] = deque(maxlen=WINDOW_S)
+        self._series = [Series() for _ in _SERIES]     # one value for each read
+        self.spent, self.between, self.sizes = self._series
         self._decoder.clock.reset()
+        for device in self._decoder.registry.devices.values():
+            device.reset_statistics()
 
     def tick(self, now: int) -> None:
         """Once a second: snapshots for the last 10 s, and a look at what was no packet."""
         decoder, devices = self._decoder, self._decoder.registry.devices.values()
+        noise_bytes = decoder.total('noise_bytes')
+        if self._ticks and noise_bytes != self._noise_seen:
+            self._evidence.search_noise(decoder.noise, noise_bytes - self._noise_seen, now)
+        self._noise_seen = noise_bytes
         if not self.next_tick or now - self.next_tick > WINDOW_S * TICK_NS:
             self.next_tick = now
             self._ticks.clear()                # they are older than the window
@@ -69,28 +66,24 @@ class BusStatistics:
         self.started = self.started or now
         for device in devices:
             device.snapshots.append(device.counts.copy())
-        noise_bytes = decoder.total('noise_bytes')
-        if self._ticks and noise_bytes != self._noise_seen:
-            self._evidence.search_noise(decoder.noise, noise_bytes - self._noise_seen, now)
-        self._noise_seen = noise_bytes
         decoder.clock.choose_leader(self._planner.known.values(), now)
         self._ticks.append((now, self._activity()))
 
-    def _activity(self) -> Activity:
+    def _activity(self) -> dict[str, int]:
+        """Return what a rate is worked out from: totals since start."""
         total = self._decoder.total
-        return Activity(total('bytes'), total('packets'),
-                        sum(map(self._decoder.damaged, REASONS)))
+        return {'bytes': total('bytes'), 'packets': total('packets'),
+                'errors': sum(map(self._decoder.damaged, REASONS))}
 
     def counters(self) -> dict[str, int]:
         """Return the counters of the bus."""
         total = self._decoder.total
         damaged, counts = self._decoder.damaged, self._evidence.counts
         fed = int(self.fed)
-        left_out = fed - total('bytes')            # where a mistake of ours was
         now = {
             'Bytes': fed,
             'Packet Bytes': total('packet_bytes'),
-            'Noise Bytes': total('noise_bytes') + left_out,
+            'Noise Bytes': total('noise_bytes') + fed - total('bytes'),    # mistakes of ours
             'Pending Bytes': total('pending'),
             'Packets': total('packets'),
             'Instructions': self._planner.instructions(),
@@ -105,11 +98,10 @@ class BusStatistics:
 
     def rates(self, now: int) -> dict[str, float]:
         """Return the rates of the last 10 s, in 1/s."""
-        since, before = self._ticks[0] if self._ticks else (now, Activity(0, 0, 0))
-        if now <= since:
-            return dict.fromkeys(Activity._fields, 0.0)
-        rates = zip(Activity._fields, self._activity(), before, strict=True)
-        return {name: (n - then) / (now - since) * 1e9 for name, n, then in rates}
+        totals = self._activity()
+        since, before = self._ticks[0] if self._ticks else (now, totals)
+        return {name: (n - before[name]) / (now - since) * 1e9 if now > since else 0.0
+                for name, n in totals.items()}
 
     def metrics(self, now: int, rates: dict[str, float]) -> tuple[Metric, ...]:
         """Return the timing metrics of the bus, with these rates()."""

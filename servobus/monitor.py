@@ -180,8 +180,6 @@ class Monitor:
         """Start all counts and statistics at 0; what is known of the devices stays."""
         with self._lock:
             self._statistics.reset(now)
-            for device in self._registry.devices.values():
-                device.reset_statistics()
         with self._examining:
             self.doctor = Doctor(self.settings, self._names)   # the old one remembers old counts
 
@@ -199,12 +197,12 @@ class Monitor:
                 self._flush_if_idle(now - FEED_DELAY_NS)
             if not (self._idle_is_told and is_listening):
                 self._listened = now
-            self._deaf = self._deaf if is_listening else now
+            if not is_listening:
+                self._deaf = now
             statistics = self._statistics
             while now >= statistics.next_tick:
                 statistics.tick(now)
-            cycles = _cycles(self._tracker.planner.plans())
-            bus = self._bus_report(now, cycles)
+            bus = self._bus_report(now)
             self._place_due = now + PLACE_NS
         devices = tuple(self._device_report(device, now) for device in self._by_id()
                         if device.number not in bus.scanned)
@@ -245,7 +243,7 @@ class Monitor:
     def _load_models(self) -> None:
         """Read the files of newly seen models: not under the lock, as that takes a while."""
         with self._lock:
-            devices = list(self._registry.devices.values())
+            devices = self._registry.devices.values()
             keys = {model_key(device.identity[0] | device.identity[1] << 8, device.protocol)
                     for device in devices if device.is_unresolved}
             nameless = [(device, device.protocol, device.all_uses()) for device in devices
@@ -264,9 +262,8 @@ class Monitor:
         self._listened = now
 
     def _flush_if_idle(self, now: int) -> None:
-        decoder = self.decoder
-        if self._last and now - self._last > decoder.idle_ns:
-            self._try(decoder.process_pause, self._last, now)
+        if self._last and now - self._last > self.decoder.idle_ns:
+            self._try(self.decoder.process_pause, self._last, now)
 
     def _accept_change(self, change: Change, stamp: int) -> None:
         field = _LINE_ERRORS.get(change.what)
@@ -294,22 +291,22 @@ class Monitor:
         for device in self._registry.devices.values():
             device.keep_place()
 
-    def _bus_report(self, now: int, cycles: tuple[Cycle, ...]) -> BusReport:
-        evidence = self._evidence
-        statistics = self._statistics
-        return BusReport(
-            name=self.name, stamp=now, started=statistics.started, baud=self.decoder.settings.baud,
+    def _bus_report(self, now: int) -> BusReport:
+        evidence, statistics, decoder = self._evidence, self._statistics, self.decoder
+        return BusReport(                      # plans() brings the counts up to date
+            cycles=_cycles(self._tracker.planner.plans()),
+            name=self.name, stamp=now, started=statistics.started, baud=decoder.settings.baud,
             level=Level.OK, message='', devices=(),
             rates=statistics.rates(now), counters=statistics.counters(),
             errors=evidence.errors(self._registry.register_name),
             incidents=tuple(evidence.incidents), waits=tuple(evidence.waits),
-            cycles=cycles, metrics=(), noise=self.decoder.noise,
-            noise_side=self.decoder.noise_side, asked=self._tracker.asked,
+            metrics=(), noise=decoder.noise,
+            noise_side=decoder.noise_side, asked=self._tracker.asked,
             last_byte_s=(now - self._last) / 1e9 if self._last else None, deaf=self._deaf,
-            kinds=dict(evidence.counts), protocol=self.decoder.protocol(), scanned=self._scanned(),
-            is_answered=self.decoder.is_answered, has_sides=OUT in self.decoder.framers,
-            line_mode=self.decoder.line_mode, users=self._users,
-            is_over=self._failed is not None, is_closed=self.decoder.sessions.is_closed,
+            kinds=dict(evidence.counts), protocol=decoder.protocol(), scanned=self._scanned(),
+            is_answered=decoder.is_answered, has_sides=OUT in decoder.framers,
+            line_mode=decoder.line_mode, users=self._users,
+            is_over=self._failed is not None, is_closed=decoder.sessions.is_closed,
             failed=self._failed or '',
             chain=tuple(expected.id for expected in self.settings.devices),
             tried=frozenset(self._registry.tried),
@@ -322,11 +319,13 @@ class Monitor:
                               or device.counts.writes or device.acks_missing))
         return found if len(found) >= SCAN_MIN_IDS else ()
 
+
 def _cycles(plans: list[Plan]) -> tuple[Cycle, ...]:
     often = sorted(plans, key=attrgetter('asked'), reverse=True)[:CYCLES_REPORTED_MAX]
     return tuple(
-        Cycle(plan.request.instruction, tuple(access.id for access in plan.request.accesses)
-              or (plan.request.id,), plan.request.address if plan.request.accesses else None,
-              plan.request.accesses[0].length if plan.request.accesses else 0,
+        Cycle((one := plan.request).instruction,
+              tuple(access.id for access in one.accesses) or (one.id,),
+              one.address if one.accesses else None,
+              one.accesses[0].length if one.accesses else 0,
               plan.asked, plan.missed, tuple(plan.stamps))
         for plan in often)

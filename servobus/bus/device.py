@@ -17,6 +17,7 @@ from msg_defs.dxl1_instruction import error_text as bits_text
 from msg_defs.dxl1_instruction import FEETECH
 from msg_defs.dxl_instruction import error_text
 from msg_defs.timing import Series
+from msg_defs.timing import WINDOW_S
 from servobus.bus.report import Counts
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import PROTOCOL_2
@@ -34,7 +35,6 @@ from servobus.model.layout import SPEED_AT
 from servobus.model.layout import Use
 from servobus.model.layout import USE_MAX_BYTES
 
-WINDOW_S = 10
 RESOLVED_NEEDED = 0.2              # the share of answers that makes a latency worth a figure
 LATE_REPLY_NS = 100_000_000        # no servo takes as long: its Return Delay Time ends at 0.5 ms
 _ERRORS_KEPT = 64                  # distinct (instruction, address, error)
@@ -113,7 +113,7 @@ class Device:
         """Start all counts at 0; what is known of the device and its state stay."""
         self.counts = Counts()
         self.errors: Counter[tuple[int, int, int]] = Counter()
-        self.latency = Series(WINDOW_S)
+        self.latency = Series()
         self.latency_resolved = 0
         self.asked_first = 0                       # answers that could tell a latency
         self.snapshots: deque[Counts] = deque([Counts()], WINDOW_S)

@@ -13,9 +13,9 @@ from collections.abc import Sequence
 
 from msg_defs.diagnostics import Level
 from msg_defs.diagnostics import number
+from msg_defs.timing import WINDOW_S
 from servobus.bus import report as words
 from servobus.bus.decoder import Settings
-from servobus.bus.device import WINDOW_S
 from servobus.bus.report import BusReport
 from servobus.bus.report import DeviceReport
 from servobus.doctor.case import Names
