@@ -100,7 +100,7 @@ def test_commands_name_what_exists(page):
 def check_launch(words):
     file, *given = words
     text = (ROOT / 'launch' / file).read_text()
-    nodes = re.search(r'description\(__file__, (.*)\)', text)
+    nodes = re.search(r'describe_nodes\(__file__, (.*)\)', text)
     known = {one.name for one in arguments_of(*(
         getattr(launch_arguments, node) for node in nodes[1].split(', ')))} if nodes else set()
     for name in (argument.partition(':=')[0] for argument in given if ':=' in argument):
