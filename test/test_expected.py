@@ -26,6 +26,7 @@ def test_forms(text, devices):
     ('1:2:3:4', 'is not a device'),
     ('-3', 'is not a device'),
     ('254', 'at most 253'),
+    ('9' * 5000, 'is not a device'),
     ('1-300:MX-64', 'at most 253'),
     ('9-3:MX-64', 'write 3-9'),
     ('1-3:MX-64:knee', 'one joint name for 3 devices'),

@@ -223,6 +223,15 @@ def test_a_file_that_goes_wrong_later_counts_as_unknown(tmp_path):
     assert models.get(4660) is None
     assert len(models.problems) == 1
     assert 'fields is 3' in models.problems[0]
+    assert (models.by_name('Gripper'), models.closest('Gripper')) == (None, None)
+
+
+@pytest.mark.parametrize('protocol', [
+    'protocol: feetech\n', 'protocol: feetech    # STS\n', "protocol: 'feetech'\n",
+    'protocol: feetech\r\n', '\ufeffprotocol: feetech\n', '"protocol" :\tfeetech\n'])
+def test_a_feetech_model_is_found_however_its_protocol_is_written(tmp_path, protocol):
+    model = Models([write(tmp_path, protocol + GOOD)]).get(model_key(4660, 'feetech'))
+    assert (model.name, model.protocol) == ('Gripper', 'feetech')
 
 
 MISTAKES = rows_of(Path(__file__).with_name('model_mistakes.tsv'))
@@ -251,8 +260,8 @@ def levels(opening, innermost, closing, count):
 LAUGHS = '\n'.join(['words:', '  a0: &a0 {0: ha, 1: ha}', *(
     f'  a{n}: &a{n} {{{", ".join(f"{key}: *a{n - 1}" for key in range(10))}}}'
     for n in range(1, 12))])
-REPEATS = levels("{repeat: 4096, step: 1, prefix: 'B {n}', fields: [",
-                 '{at: 0, name: C, type: u8}', ']}', 4)
+BLOCK, BYTE = "{repeat: 4096, step: 1, prefix: 'B {n}', fields: [", '{at: 0, name: C, type: u8}'
+REPEATS = levels(BLOCK, BYTE, ']}', 4)
 
 
 @pytest.mark.parametrize(('text', 'words'), [
@@ -271,6 +280,7 @@ REPEATS = levels("{repeat: 4096, step: 1, prefix: 'B {n}', fields: [",
     (GOOD.replace('at: 0', f'at: 0x{"9" * 50_000}'), 'line 3: not YAML: a number of 200000 bits'),
     (GOOD.replace('at: 0', 'at: !!int x'), 'not YAML: '),
     (GOOD.replace('at: 0', "at: !!int ''"), 'not YAML: '),
+    (GOOD.replace('at: 0', f'at: !!float {"1:" * 200}1'), 'not YAML: '),
     (GOOD.replace('at: 0', 'at: !!bool x'), 'not YAML: '),
     (GOOD.replace('at: 0', 'at: !!timestamp x'), 'not YAML: '),
     (GOOD.replace('at: 0', 'at: !!python/name:os.system'), 'not YAML: could not determine'),
@@ -287,6 +297,13 @@ REPEATS = levels("{repeat: 4096, step: 1, prefix: 'B {n}', fields: [",
     (GOOD + f'  - {REPEATS}\n', 'with this one more than 65536 fields'),
     (GOOD + ''.join(f"  - {{at: {n}, name: 'C{n} {{n}}', type: u8, repeat: 4096}}\n"
                     for n in range(300)), 'with this one more than 65536 fields'),
+    (GOOD + f'indirect: [{", ".join(9 * ["{address: 9, data: 9, count: 4096}"])}]',
+     'with this one more than 65536 fields'),
+    (GOOD.replace('4660: Gripper', ', '.join(f'{n}: A{n}' for n in range(1, 18)))
+     + 'each:\n' + ''.join(f'  {n}: {{fields: [{BLOCK}{BYTE.replace("0", "3")}]}}]}}\n'
+                           for n in range(1, 18)),
+     'with this one more than 65536 fields'),
+    (GOOD.replace('fields:', f'include: {"a" * 300}\nfields:'), 'include: no file aaa'),
 ])
 def test_no_file_takes_the_process_or_its_time(tmp_path, text, words):
     """Written as latin-1, so that one of them is no UTF-8."""

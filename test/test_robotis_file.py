@@ -151,6 +151,9 @@ def test_the_registers_of_an_unknown_servo_do_not_depend_on_it(tmp_path):
     ('our_arm', '\t0.001\t', '\t0\t', 'our_arm.model: Present Position: scale is 0; leave'),
     ('our_arm', '\t0.001\t', '\tx\t', "our_arm.model: line 3: 'x' is no number; correct"),
     ('our_arm', 'signed\t-3', 'sined\t-3', 'our_arm.model: line 3: not a name, value, unit'),
+    ('our_arm', '[unit info]',
+     f'[type info]\nvalue_of_max_radian_position\t9\nmax_radian\t{"9" * 400}\n[unit info]',
+     'our_arm.model: Goal Position: scale is inf; give'),
     ('our_arm', '\t0.001\t', '\tnan\t', 'our_arm.model: Present Position: scale is nan; give'),
 ])
 def test_a_mistake_stops_the_start_with_file_field_and_reason(tmp_path, name, old, new, said):

@@ -17,7 +17,7 @@ from servobus.errors import ParameterError
 
 MAX_ID = 252                       # in Protocol 2.0
 MAX_ID_1 = 253                     # in the 1.0 family
-_ENTRY = re.compile(r'\s*(\d+)\s*(?:-\s*(\d+)\s*)?(?::([^:]*))?(?::([^:]*))?')
+_ENTRY = re.compile(r'\s*(\d{1,9})\s*(?:-\s*(\d{1,9})\s*)?(?::([^:]*))?(?::([^:]*))?')
 # A joint may have a slash, too.
 _BUS_AND_ENTRY = re.compile(r'(.*?)/(\s*\d+\s*(?:[-:,].*)?)', re.DOTALL)
 _EXAMPLES = "write ID:MODEL:JOINT, e.g. '11:MX-106:left_knee', '1-20:MX-64' or '30'"

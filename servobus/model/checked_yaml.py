@@ -83,7 +83,8 @@ def read_yaml(path: Path) -> Any:
     try:
         _check_weight(text)
         return yaml.load(text, _Loader)
-    except (yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError) as error:
+    except (yaml.YAMLError, ArithmeticError, AttributeError, LookupError, TypeError,
+            ValueError) as error:
         # All but the first: what PyYAML raises for a value that is not of its tag, as !!int x.
         mark = getattr(error, 'problem_mark', None) or getattr(error, 'context_mark', None)
         line = f'line {mark.line + 1}' if mark else ''

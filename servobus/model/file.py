@@ -54,9 +54,8 @@ class FieldBudget:
     def __init__(self) -> None:
         self._left = FIELDS_LIMIT
 
-    def spend(self, fields: list[Field], count: int, check: Check) -> None:
-        self._left -= count * sum(1 + len(field.cases.fields if field.cases else ())
-                                  for field in fields)
+    def spend(self, fields: int, check: Check) -> None:
+        self._left -= fields
         if self._left < 0:
             raise TooManyError(check.path, check.field, f'with this one more than {FIELDS_LIMIT} '
                                'fields', 'no control table has so many: correct repeat')
@@ -107,7 +106,8 @@ def _build_group(entry: Raw, check: Check, context: Context) -> Iterator[Field]:
 def _repeat(entry: Raw, fields: list[Field], check: Check,
             budget: FieldBudget) -> Iterator[Field]:
     count = check.integer(entry.get('repeat', 1), 'repeat', 1, REPEAT_LIMIT)
-    budget.spend(fields, count, check)
+    budget.spend(count * sum(1 + len(field.cases.fields if field.cases else ())
+                             for field in fields), check)
     if count > 1 and any('{n}' not in field.name for field in fields):
         raise check.error('repeat without {n} in the name', "name it as 'Error Code History {n}'")
     size = fields[0].size if len(fields) == 1 else None
@@ -197,8 +197,9 @@ def _shared(raw: Any, words: Mapping[str, Any], check: Check) -> dict[Any, Any]:
     """`enum: NAME` and `flags: NAME` take their words from the file's `words`."""
     if isinstance(raw, str):
         if raw not in words:
+            known = ', '.join(sorted(map(str, words)))
             raise check.error(f'there are no words named {describe(raw)}',
-                              f'use one of: {", ".join(sorted(words)) or "(none given)"}')
+                              f'use one of: {known or "(none given)"}')
         raw = words[raw]
     if not isinstance(raw, dict) or not raw:
         raise check.error(f'words are {describe(raw)}', 'give {CODE: WORD, ...}')
@@ -250,7 +251,8 @@ def _range(text: str, check: Check) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
-def build_indirect(raw: Any, path: Path) -> tuple[tuple[Indirect, ...], list[Field]]:
+def build_indirect(raw: Any, path: Path,
+                   budget: FieldBudget) -> tuple[tuple[Indirect, ...], list[Field]]:
     """Return the ranges and the fields they bring: Indirect Address N and Indirect Data N."""
     ranges = []
     fields = []
@@ -262,6 +264,7 @@ def build_indirect(raw: Any, path: Path) -> tuple[tuple[Indirect, ...], list[Fie
         address, data = (check.integer(entry.get(key), key, 0, ADDRESS_END - size * count)
                          for key, size in (('address', 2), ('data', 1)))
         memory = check.choice(entry.get('memory', 'ram'), 'memory', MEMORY)
+        budget.spend(2 * count, check)
         ranges.append(Indirect(address, data, count))
         for i in range(count):
             n += 1

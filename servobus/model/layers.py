@@ -9,10 +9,12 @@ replaces the included ranges; words and aliases add up. Each file is parsed once
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable
 from collections.abc import Iterable
 from functools import cache
 from itertools import pairwise
+import os
 from pathlib import Path
 from typing import Any
 from typing import NamedTuple
@@ -99,6 +101,7 @@ class Layers:
         self._folders = (folder, beneath)
         self._report = report
         self.definition = cache(_outline)      # it reads each file once
+        self._budgets: defaultdict[Path, FieldBudget] = defaultdict(FieldBudget)
         self._layers: dict[Path, Layer] = {}
         self._whole: dict[tuple[Path, int | None, int | None], Layer] = {}
 
@@ -169,8 +172,8 @@ class Layers:
     def _find(self, check: Check, name: Any) -> Path:
         name = check.text(name, 'name')
         for folder in self._folders:
-            if (folder / f'{name}.yaml').is_file():
-                return folder / f'{name}.yaml'
+            if os.path.isfile(path := folder / f'{name}.yaml'):      # a name may be too long
+                return path
         raise check.error(f'no file {name}.yaml', f'put it into {self._folders[0]}, or correct '
                           'the name (without .yaml)')
 
@@ -179,8 +182,9 @@ class Layers:
         """`raw` laid over `below`; mistakes in single fields go to report."""
         words = {**below.words, **raw.get('words', {})}
         own = self._own_fields(raw, words, path, above)
-        indirect, indirect_fields = build_indirect(raw.get('indirect', []), path)
-        top = Layer(own, words, indirect, tuple(indirect_fields), raw.get('aliases', {}))
+        indirect, indirect_fields = build_indirect(raw.get('indirect', []), path,
+                                                   self._budgets[path])
+        top = Layer(own, words, indirect, tuple(indirect_fields), _aliases(raw, path))
         return top.laid_over(below._replace(fields=self._without(raw, below, path)))
 
     def _own_fields(self, raw: Raw, words: Raw, path: Path,
@@ -190,7 +194,7 @@ class Layers:
             return self._layer(found, (*above, path)).all_fields()
 
         own: dict[str, Field] = {}
-        context = Context(path, words, included, self._report, FieldBudget(),
+        context = Context(path, words, included, self._report, self._budgets[path],
                           self.definition(path).raw.get('byte_order', 'little'))
         for field in build_fields(raw.get('fields', []), context):
             if field.name in own:
@@ -238,16 +242,12 @@ def _outline(path: Path) -> Definition:
     if not numbers and not path.name.startswith('_'):
         raise check.error('no model_numbers', 'add model_numbers: {NUMBER: NAME}, or begin the '
                           'name of a file that is only included with _')
-    for key in ('words', 'aliases', 'each', 'torque_constants'):
+    for key in ('words', 'each', 'torque_constants'):
         if not isinstance(raw.get(key, {}), dict):
             raise Check(path, key).error(f'is {describe(raw[key])}', f'write {key}: {{...}}')
     for key in ('each', 'torque_constants'):
         for number in raw.get(key, {}).keys() - numbers.keys():
             raise Check(path, key).error(f'{number} is not in model_numbers', 'correct the number')
-    aliases = Check(path, 'aliases')
-    for alias, name in raw.get('aliases', {}).items():
-        aliases.text(alias, 'an alias')
-        aliases.text(name, f'alias {alias}')
     check.choice(raw.get('byte_order', 'little'), 'byte_order', BYTE_ORDERS)
     protocol = check.choice(raw.get('protocol', '2'), 'protocol', PROTOCOLS)
     keys = {model_key(number, protocol): name for number, name in numbers.items()}
@@ -261,6 +261,15 @@ def _older_tables(raw: Raw, path: Path) -> tuple[int, ...]:
     for entry in entries:
         check.mapping(entry, VARIANT_KEYS)
     return tuple(check.integer(entry.get('up_to'), 'up_to', 0, 255) for entry in entries)
+
+
+def _aliases(raw: Raw, path: Path) -> dict[str, str]:
+    check = Check(path, 'aliases')
+    aliases = raw.get('aliases', {})
+    if not isinstance(aliases, dict):
+        raise check.error(f'is {describe(aliases)}', 'write aliases: {...}')
+    return {check.text(alias, 'an alias'): check.text(name, f'alias {alias}')
+            for alias, name in aliases.items()}
 
 
 def _torque_constants(raw: Raw, path: Path) -> dict[int, float]:

@@ -28,7 +28,7 @@ from servobus.model.robotis_file import listed_numbers
 from servobus.model.robotis_file import SUFFIX
 
 _NUMBERS = re.compile(rb'^model_numbers: *\{([^{}#]*)\}', re.MULTILINE)
-_IS_FEETECH = re.compile(rb'^protocol: *feetech *$', re.MULTILINE)
+_IS_FEETECH = re.compile(rb'^[^\w#]*protocol\W+feetech\b', re.MULTILINE)
 _NUMBER = re.compile(r'(0x[0-9a-fA-F]{1,4}|0|[1-9][0-9]{0,4}): +([A-Za-z0-9][^:\'"]*)')
 # Names that other software gives to a model: the thesis calls this board Core.
 _ALSO_CALLED = {'core': 'rhobandxlboard'}
@@ -79,6 +79,7 @@ class Models:
         except ModelError as error:
             self.problems.append(str(error))
             del self._index[number]
+            self._by_name = {name: one for name, one in self._by_name.items() if one != number}
             return None
 
     def _load(self, number: int, firmware: int | None) -> Model:

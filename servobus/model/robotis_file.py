@@ -48,7 +48,7 @@ class TableRow(NamedTuple):
     def number(self, cell: int) -> float:
         text = self.cells[cell]
         try:
-            return int(text) if text.isdecimal() else float(text)
+            return int(text) if text.isdecimal() and len(text) < 10 else float(text)
         except ValueError:
             raise self.error(f'{describe(text)} is no number') from None
 
