@@ -70,6 +70,17 @@ def test_what_is_no_number_has_no_number(bad):
     assert value.text == str(bad)
 
 
+def test_a_number_beyond_all_floats_is_none():
+    value = Field(0, 'Force', 'f64', scale=100.0).decode(STRUCTS['f64'].pack(1e307))
+    assert (value.text, value.number) == ('inf', None)
+
+
+def test_bits_have_no_sign():
+    flags = Field(0, 'Flags', 'i8', flags=(Bits(0, 1, ('', 'hot')),))
+    assert flags.decode(b'\xe1').text == 'hot, bit 5, bit 6, bit 7'
+    assert Field(0, 'Mask', 'i16', hexadecimal=True).decode(b'\xfe\xff').text == '0xFFFE'
+
+
 def test_unknown_codes_and_bits_are_told():
     mode = Field(0, 'Mode', 'u8', enum={1: 'on'}, spans=(Span(5, 9, 'spare'),))
     flags = Field(0, 'Flags', 'u8', flags=(Bits(0, 1, ('', 'hot')), Bits(4, 3, ('', 'a'))))

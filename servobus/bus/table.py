@@ -237,7 +237,7 @@ def _in_force(field: Field, model: Model, image: Image) -> Field:
     other = model.by_name[field.cases.by]
     if not image.knows(other.at, other.end):
         return field
-    code = int.from_bytes(image.data[other.at:other.end], 'little') & field.cases.mask
+    code = other.code_of(bytes(image.data[other.at:other.end])) & field.cases.mask
     return field.cases.fields.get(code, field)
 
 

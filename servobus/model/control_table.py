@@ -122,7 +122,9 @@ class Field:
         self.end = self.at + self.size
         self.key = f'{self.name} ({self.unit})' if self.unit else self.name
         self.in_words = bool(self.enum or self.spans or self.flags)
-        self._unpack = (STRUCTS if self.byte_order == 'little' else _BIG_STRUCTS)[self.type].unpack
+        bits = self.flags or self.hexadecimal          # these have no sign
+        self._unpack = (STRUCTS if self.byte_order == 'little' else _BIG_STRUCTS)[
+            self.type.replace('i', 'u') if bits else self.type].unpack
         self._decimals = None if self.scale is None or self.type[0] == 'f' \
             else max(0, math.ceil(-math.log10(abs(self.scale))) + 2)
 
@@ -151,13 +153,13 @@ class Field:
         return _flags_value(code, self.flags) if self.flags else self._enum_value(code)
 
     def _number(self, code: float) -> Value:
-        if isinstance(code, float) and not math.isfinite(code):
-            return Value(str(code), None, code)
         if self.hexadecimal:
             return Value(f'0x{int(code):0{2 * self.size}X}', code, code)
         number = code if self.sign_bit is None else _signed(int(code), self.sign_bit)
         if self.scale is not None:
             number = number * self.scale + self.offset
+        if not math.isfinite(number):
+            return Value(str(number), None, code)
         return Value(number_text(number, self._decimals), number, code)
 
     def _enum_value(self, code: int) -> Value:
