@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 from msg_defs.dxl_instruction import Access
+from msg_defs.dxl_instruction import ADAPTER_READ
 from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_instruction import Request
@@ -19,6 +20,7 @@ from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.frame import EITHER_1
 from msg_defs.frame import Flaw
+from msg_defs.frame import INSTRUCTION_1
 from msg_defs.frame import INSTRUCTION_2
 from msg_defs.frame import IS_STATUS
 from servobus.bus import evidence as ev
@@ -43,6 +45,9 @@ from servobus.bus.table import NO_SPAN
 from servobus.bus.table import READ
 from servobus.bus.table import Table
 from servobus.bus.tracker import Tracker
+from servobus.model.control_table import Cases
+from servobus.model.control_table import Field
+from servobus.model.control_table import Model
 from servobus.model.models import Models
 
 ROWS = yaml.safe_load(
@@ -193,6 +198,23 @@ def test_who_says_the_same_of_himself_again_stays_who_he_is():
     assert device.counts.pongs == 5
 
 
+def test_a_device_that_also_speaks_the_1_0_family_keeps_its_table():
+    one = registry()
+    device = one.device(4)
+    device.table.store(132, b'\0\x08\0\0', S, READ)
+    device.accept_pong(NO_SPAN, b'\x37\x01\x2f', S, READ)
+    one.set_device_dialect(device)         # which of them is not known, nor its Model Number
+    one.resolve(device)
+    assert (device.model.name, device.table.bytes(132, 4)) == ('MX-64', b'\0\x08\0\0')
+
+
+def test_a_use_of_no_byte_says_nothing():
+    device = Device(4)
+    device.record_use(132, 0)
+    device.record_use(132, 1)
+    assert device.used == {(132, 1)}
+
+
 def test_an_offset_is_noted_when_it_changes():
     one = registry(Expected(2, 'STS3215'))
     for value in (0, 7, 7, 9):
@@ -239,6 +261,15 @@ def test_a_register_has_the_meaning_that_another_gives_it():
     for mode, of in ((b'\x04', 4), (b'\x01', 0), (b'\x05', 4)):
         table.store(10, mode, S, READ)
         assert table.in_force(raw, model) is raw.cases.fields[of]
+
+
+def test_a_register_that_decides_is_read_in_its_order_of_bytes():
+    cases = Cases('Mode', 0xFFFF, {1: Field(2, 'Goal', 'u8', unit='rad')})
+    model = Model(None, 'Arm', (Field(0, 'Mode', 'u16', byte_order='big'),
+                                Field(2, 'Goal', 'u8', cases=cases)))
+    table = Table()
+    table.store(0, b'\0\1', S, READ)
+    assert table.in_force(model.by_name['Goal'], model).unit == 'rad'
 
 
 # --- who must answer -------------------------------------------------------------------------
@@ -335,6 +366,24 @@ def test_a_question_that_is_over_moves_as_the_table_says(state, event, then):
     assert (unread.MISSED if is_missed else run.state()) == then
 
 
+def test_what_waited_is_gone_with_the_port():
+    run = UnreadRun()
+    run.unread.report_waiting(15, 0, S)
+    run.unread.close(run.question, S)
+    answer = [(0, 15, IS_STATUS, 3, 0, bytes(4), None)]
+    assert run.unread.take_old_answers(answer, 2 * S, 15, NO_PLAN) == answer
+    run.unread.judge_last(9 * S, True)                     # it waited, so the program did not hang
+    assert [kind for kind, *_ in notes(run.registry)] == [ev.LEFT_OPEN]
+
+
+def test_an_old_answer_under_an_id_that_none_has_is_no_devices():
+    run = UnreadRun()
+    run.unread.report_waiting(15, 0, S)
+    answer = [(0, 11, IS_STATUS, 253, 0x80, b'', None)]
+    assert run.unread.take_old_answers(answer, 2 * S, 11, NO_PLAN) == answer
+    assert (run.registry.device(253).heard, notes(run.registry)) == (0, [])
+
+
 @pytest.mark.parametrize(('idle_ns', 'missed'), [(S, 0), (S + 1, 1)])
 def test_an_answer_is_given_up_behind_an_idle_line_of_more_than_a_second(idle_ns, missed):
     one = BusDecoder(MODELS)
@@ -375,6 +424,15 @@ def test_plans_are_counted_and_forgotten_without_losing_counts():
     assert planner.has_answer(3, 4)
     assert not planner.has_answer(3, 3)
     assert not planner.has_answer(4, 4)
+
+
+@pytest.mark.parametrize('impossible', [254, 255])
+def test_an_adapter_is_asked_for_an_id_that_none_has(impossible):
+    one = registry()
+    planner = Planner(one, one._evidence)
+    read = INSTRUCTION_1, 254, ADAPTER_READ, bytes((36, 0, 2, 0, 1, impossible))
+    plan = planner.plan_for(read, S)
+    assert [*plan.slots] == [1, 254]
 
 
 def test_64_lists_of_sync_writes_are_kept():

@@ -179,7 +179,7 @@ class Planner:
             first = next(iter(slots.values())).device
             slots = {BROADCAST: combined_slot(first), **slots}
         elif request.answers is Answers.ADAPTER and slots:
-            slots[BROADCAST] = combined_slot(slots[request.accesses[-1].id].device)
+            slots[BROADCAST] = combined_slot(next(reversed(slots.values())).device)
         return Plan(request, slots, self._begin_of(request) if is_known else None)
 
     def _slots_of(self, request: Request) -> list[Slot]:

@@ -166,7 +166,8 @@ class DeviceRegistry:
         device.firmware = firmware
         device.set_model(self._models.get(key, firmware) or UNKNOWN)
         self.plans_hold = False
-        device.table.store(device.identity_at, device.identity[:2], stamp, READ)
+        if device.identity_at >= 0:
+            device.table.store(device.identity_at, device.identity[:2], stamp, READ)
         field = device.model.by_name.get('Firmware Version')
         if firmware is not None and field is not None and field.size == 1:
             device.table.store(field.at, device.identity[2:], stamp, READ)

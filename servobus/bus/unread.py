@@ -111,6 +111,7 @@ class UnreadAnswers:
         self._reported_at = 0              # offset of the stream at the last UNREAD
         self.vain_read_ns = self._purged_ns = self._closed_ns = 0     # stamps of the last ones
         self._stale_questions = 0          # in a row
+        self._left_unread = False          # bytes waited when the port was closed
         self._unsent_ns = -1               # stamp of the question that was not sent
         self._late_ns = -1                 # stamp of the question of which the answer was late
         self._questions = {state: deque[OpenQuestion](maxlen=kept) for state, kept in (
@@ -267,8 +268,9 @@ class UnreadAnswers:
     def close(self, pending: OpenQuestion | None, stamp: int) -> None:
         """End all: the port is closed, or events were lost; pending: the question till then."""
         if pending is not None:
-            self._closed_ns = stamp
+            self._closed_ns, self._left_unread = stamp, self.old_until > 0
             self._questions[LAST].clear()
+        self.old_until = 0                     # what waited is gone with the port
         self._move_all(LOST if pending is None else CLOSED)
         if pending is not None:
             self._questions[NEXT[PENDING][CLOSED]].append(pending)
@@ -310,7 +312,7 @@ class UnreadAnswers:
         for frame in frames:
             begin, _, kind, number, code, data, flaw = frame
             is_old = begin < self.old_until
-            if kind or not (is_old or self.deferred) or (
+            if kind or not (is_old or self.deferred) or self._registry.is_impossible(number) or (
                     self.discarded and flaw is not None and flaw.reason == 'cut'):
                 rest.append(frame)
             elif flaw is not None and flaw.reason:
@@ -408,7 +410,7 @@ class UnreadAnswers:
         end = max(end, self.reported_ns, self.vain_read_ns, self._closed_ns)
         for question in questions:
             slot, waited = next(iter(question.due), None), end - question.asked
-            if waited > HUNG_WAIT_NS and slot is not None and not self.old_until \
+            if waited > HUNG_WAIT_NS and slot is not None and not self._left_unread \
                     and (slot.due is not Due.ACK or self._reads_acks(question, slot)) \
                     and max(self.vain_read_ns, self._purged_ns) < question.asked:
                 self._evidence.add_incident(end, ev.HUNG, slot.device.number, waited // 1000)
@@ -447,7 +449,7 @@ class UnreadAnswers:
         delay_ns = ADAPTER_DELAY_NS if any(slot.due is Due.ACK for slot in due) \
             else self._slowest_ns()
         return self._has_had_time(question, now, delay_ns) \
-            and not self.old_until and self._purged_ns < question.asked
+            and not self._left_unread and self._purged_ns < question.asked
 
     def _slowest_ns(self) -> float:
         """Return how long to wait for data, by how soon answers came before."""
