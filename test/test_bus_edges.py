@@ -208,13 +208,6 @@ def test_a_device_that_also_speaks_the_1_0_family_keeps_its_table():
     assert (device.model.name, device.table.bytes(132, 4)) == ('MX-64', b'\0\x08\0\0')
 
 
-def test_a_use_of_no_byte_says_nothing():
-    device = Device(4)
-    device.record_use(132, 0)
-    device.record_use(132, 1)
-    assert device.used == {(132, 1)}
-
-
 def test_an_offset_is_noted_when_it_changes():
     one = registry(Expected(2, 'STS3215'))
     for value in (0, 7, 7, 9):

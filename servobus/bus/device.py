@@ -130,8 +130,7 @@ class Device:
 
     def record_use(self, address: int, size: int) -> None:
         """Note what a program reads or writes of it, where that may say what it is."""
-        if self.model_number is None and 0 < size <= USE_MAX_BYTES \
-                and len(self.used) < _USES_KEPT:
+        if self.model_number is None and size <= USE_MAX_BYTES and len(self.used) < _USES_KEPT:
             self.used.add((address, size))
 
     def all_uses(self) -> frozenset[Use]:

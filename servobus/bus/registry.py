@@ -156,21 +156,21 @@ class DeviceRegistry:
         if not device.is_unresolved:
             return
         device.is_unresolved = False
-        number = device.identity[0] | device.identity[1] << 8
-        key = model_key(number, device.protocol)
-        firmware = device.identity[2] if len(device.identity) > 2 else None
-        stamp = device.identity_stamp
+        identity = device.identity
+        number = identity[0] | identity[1] << 8
+        firmware = identity[2] if len(identity) > 2 else None
         if device.model_number not in (None, number):
             device.forget_answering()
         device.model_number = number
         device.firmware = firmware
-        device.set_model(self._models.get(key, firmware) or UNKNOWN)
+        device.set_model(
+            self._models.get(model_key(number, device.protocol), firmware) or UNKNOWN)
         self.plans_hold = False
-        if device.identity_at >= 0:
-            device.table.store(device.identity_at, device.identity[:2], stamp, READ)
+        if (at := device.identity_at) >= 0:
+            device.table.store(at, identity[:2], device.identity_stamp, READ)
         field = device.model.by_name.get('Firmware Version')
         if firmware is not None and field is not None and field.size == 1:
-            device.table.store(field.at, device.identity[2:], stamp, READ)
+            device.table.store(field.at, identity[2:], device.identity_stamp, READ)
 
     def assume_model(self, device: Device, model: Model) -> None:
         """Give a device of an unknown model the registers that what is used of it speaks for."""

@@ -158,7 +158,7 @@ class Field:
         number = code if self.sign_bit is None else _signed(int(code), self.sign_bit)
         if self.scale is not None:
             number = number * self.scale + self.offset
-        if not math.isfinite(number):
+        if isinstance(number, float) and not math.isfinite(number):
             return Value(str(number), None, code)
         return Value(number_text(number, self._decimals), number, code)
 

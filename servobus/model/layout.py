@@ -88,7 +88,7 @@ class ModelGuesses:
 def agreed_model(tables: Iterable[Model], used: Collection[Use]) -> Model:
     """Return the registers on which all tables agree that have what is used; or UNKNOWN."""
     order = _order_in(used)
-    uses = [use for use in used if use[0] >= NOWHERE[0]]
+    uses = [(at, size) for at, size in used if at >= NOWHERE[0] and size]
     fits = {table: registers for table in tables if (registers := _registers(table, uses))
             and order in ('', table.by_name['Goal Position'].byte_order)}
     if not fits:
