@@ -228,6 +228,15 @@ def test_an_adapter_that_echoes_is_no_servo():
     assert (kinds['echo'], kinds.get('bad id', 0)) == (30, 0)      # a Ping alone may be an answer
 
 
+def test_a_reset_of_the_statistics_does_not_forget_the_echo():
+    bus = Bus('1')
+    for _ in range(5):
+        sided(bus, (OUT, PING), (IN, PING + encode(1, 0)))
+    bus.monitor.reset_statistics(bus.now)
+    sided(bus, *[(OUT, encode(9, 1)), (IN, encode(9, 1))] * 3)
+    assert bus.devices()[9].totals.answers == 0
+
+
 # ---- what is proof ------------------------------------------------------------------------------
 
 TORN = (encode(0xFE, 0x82, b'\x38\2\1\2\4\5\6\x19'),     # it lost a byte, and took one too many

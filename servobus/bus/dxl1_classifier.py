@@ -237,7 +237,7 @@ class Dxl1Classifier:
         if (number == BROADCAST and awaited is None) or code > STATUS_BITS:
             return True
         if content != self._asked or (
-                len(params) == awaited and not self._evidence.counts[ev.ECHO]):
+                len(params) == awaited and not self._evidence.has_echo):
             return False
         self._asked = (-1, -1, b'')        # it comes back once
         return True

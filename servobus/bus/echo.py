@@ -23,7 +23,7 @@ class EchoCounter:
     """Counts the writes of one master that came back to it, wholly or as far as it read them."""
 
     def __init__(self, evidence: Evidence) -> None:
-        self._counts = evidence.counts
+        self._evidence = evidence
         self._sent: deque[bytes] = deque(maxlen=WRITES_KEPT)
         self._came = b''                       # since then
         self._alone = b''                      # a Read, or an answer like it
@@ -100,7 +100,8 @@ class EchoCounter:
 
     def _count_echoes(self, writes: int) -> None:
         if writes:                     # a kind that did not occur has no count
-            self._counts[ev.ECHO] += writes
+            self._evidence.counts[ev.ECHO] += writes
+            self._evidence.has_echo = True
 
 
 def _begins_answer(sent: bytes) -> bool:

@@ -221,6 +221,7 @@ class Evidence:
         self._errors: deque[Incident[Any]] = deque(maxlen=_ERRORS_KEPT)
         self.waits: deque[Wait] = deque(maxlen=WAITS_KEPT)
         self.counts: Counter[str] = Counter()          # by kind, since start
+        self.has_echo = False                  # of the master, on this bus
         self._kept: dict[str, int] = {}  # stamp of the last that add_frequent() kept
         self.incidents_added = self.waits_added = 0                   # incidents and waits so far
 

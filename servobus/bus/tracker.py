@@ -109,7 +109,7 @@ class Tracker:
 
     def _is_echo(self, raw: RawInstruction, stamp: int) -> bool:
         """Accept an instruction that came to the master; return whether it is its own."""
-        is_own = raw == self._last or bool(self._evidence.counts[ev.ECHO])
+        is_own = raw == self._last or self._evidence.has_echo
         if not is_own:
             self._add_incident(stamp, ev.FOREIGN, raw[1], raw[2])
         return is_own
