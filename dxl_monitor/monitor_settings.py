@@ -7,7 +7,7 @@ from typing import Any
 
 from mecarover_serial.parameters import Parameter
 from mecarover_serial.parameters import TIMING_PARAMETER
-from servobus.bus.decoder import PROTOCOLS
+from servobus.bus.decoder import PROTOCOL_CHOICES
 from servobus.sources.capture_recorder import Recorder
 from servobus.sources.flight_recorder import FlightRecorder
 from servobus.sources.recorders import Recorders
@@ -44,7 +44,7 @@ PARAMETERS = (
               'MB', 1.0, 1e6),
     Parameter('protocols', ['auto'], 'protocol of each bus, or one for all: 2 (Dynamixel Protocol '
               '2.0), 1 (Protocol 1.0), feetech, or auto, which learns it from the traffic',
-              choices=PROTOCOLS, element=str),
+              choices=PROTOCOL_CHOICES, element=str),
     Parameter('write_acks', 'auto', 'whether devices acknowledge writes; auto learns it from the '
               'traffic', choices=('auto', 'always', 'never')),
     TIMING_PARAMETER,

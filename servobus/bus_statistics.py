@@ -38,7 +38,7 @@ class BusStatistics:
         """Start all at 0, of the devices too."""
         self.started = now
         self.next_tick = 0
-        self._planner.plans()                  # brings counts up to date that shall end here
+        self._planner.updated_plans()  # brings counts up to date that shall end here
         self._evidence.counts.clear()
         self._base: dict[str, int] = {}
         self._base = self.counters()
@@ -86,7 +86,7 @@ class BusStatistics:
             'Noise Bytes': total('noise_bytes') + fed - total('bytes'),    # mistakes of ours
             'Pending Bytes': total('pending'),
             'Packets': total('packets'),
-            'Instructions': self._planner.instructions(),
+            'Instructions': self._planner.instruction_count(),
             'Repaired Packets': total('repaired'),
             'CRC Errors': damaged('crc'),
             'Truncated Packets': damaged('cut'),

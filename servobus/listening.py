@@ -26,7 +26,7 @@ from msg_defs.event import CLOSED
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from servobus.bus.decoder import DEFAULTS
-from servobus.bus.decoder import PROTOCOLS
+from servobus.bus.decoder import PROTOCOL_CHOICES
 from servobus.bus.expected import parse_all
 from servobus.bus.report import BusReport
 from servobus.bus.report import FAILED
@@ -71,8 +71,9 @@ def listen(port: Any, *, baud: int | None = None, devices: Sequence[str] = (),
         check_devices(devices, models)
     else:                                      # a port is one bus, without a name
         check_models(parse_all(devices), models)
-    if protocol not in PROTOCOLS:
-        raise ParameterError(f'protocol: {protocol!r} is none; use one of {", ".join(PROTOCOLS)}')
+    if protocol not in PROTOCOL_CHOICES:
+        raise ParameterError(
+            f'protocol: {protocol!r} is none; use one of {", ".join(PROTOCOL_CHOICES)}')
     if baud is not None and not (isinstance(baud, int) and baud > 0):
         raise ParameterError(f'baud: {baud!r} is no baud rate; give bit/s, or leave it out')
     if not (on_finding is None or callable(on_finding)):

@@ -44,9 +44,9 @@ from servobus.joints import fresh
 from servobus.joints import Joints
 from servobus.model import control_table
 from servobus.model.layers import model_key
+from servobus.model.layout import IMPOSSIBLE_USE
 from servobus.model.layout import is_contradicted
 from servobus.model.layout import ModelGuesses
-from servobus.model.layout import NOWHERE
 from servobus.model.models import Models
 from servobus.signals import BusSignals
 
@@ -220,7 +220,7 @@ class Monitor:
         if report.model.number is None and is_contradicted(
                 report.model, ((one.field, one.value) for one in observed), report.errors):
             with self._lock:
-                device.used.add(NOWHERE)
+                device.used.add(IMPOSSIBLE_USE)
                 self._registry.assume_model(device, control_table.UNKNOWN)
             return self._device_report(device, now)
         return report._replace(observed=observed,
@@ -293,8 +293,8 @@ class Monitor:
 
     def _bus_report(self, now: int) -> BusReport:
         evidence, statistics, decoder = self._evidence, self._statistics, self.decoder
-        return BusReport(                      # plans() brings the counts up to date
-            cycles=_cycles(self._tracker.planner.plans()),
+        return BusReport(                      # updated_plans() brings the counts up to date
+            cycles=_cycles(self._tracker.planner.updated_plans()),
             name=self.name, stamp=now, started=statistics.started, baud=decoder.settings.baud,
             level=Level.OK, message='', devices=(),
             rates=statistics.rates(now), counters=statistics.counters(),

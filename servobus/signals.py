@@ -220,7 +220,7 @@ class _DeviceSignals:
     def _locate(self, key: str) -> list[tuple[Field, int]]:
         """Find where a register is: at its own address, and where indirect data are it."""
         table, model = self._device.table, self._model
-        return [(field, at) for one in model.fields for field in [table.in_force(one, model)]
+        return [(field, at) for one in model.fields for field in [table.resolve_cases(one, model)]
                 if field.key == key
                 for at in (field.at, *table.indirect_places(field, model))]
 

@@ -115,7 +115,7 @@ def test_what_may_come_with_each_packet_is_kept_once_in_a_while():
     (INSTRUCTION_2, 2, 'length', (ev.BAD_LENGTH, -1, ev.Length(259)), IN),
     (INSTRUCTION_2, 2, 'cut', (ev.CUT, -1, ev.PacketHeader(2, 259)), IN),
     (INSTRUCTION_2, 2, 'crc', (ev.WRONG_PACKET, 7, ev.Code(2)), OUT),
-    (EITHER_1, 2, 'open', (ev.OPEN, 7, ev.Code(2)), IN),
+    (EITHER_1, 2, 'open', (ev.UNDECIDED_PACKET, 7, ev.Code(2)), IN),
 ])
 def test_a_damaged_frame_is_noted_by_what_is_wrong(kind, code, reason, expected, side):
     evidence = Evidence()
@@ -167,7 +167,7 @@ def test_an_id_that_no_device_can_have_gets_none():
     assert one.device(252).number == 252
     assert one.device(253) is one.device(255)
     assert list(one.devices) == [252]
-    assert [one.is_impossible(number) for number in (252, 253, 254, 255)] \
+    assert [one.is_impossible_id(number) for number in (252, 253, 254, 255)] \
         == [False, True, False, True]
     one.store_error_bits(253, 30, 1, S)
     assert list(one.devices) == [252]
@@ -217,7 +217,7 @@ def test_an_offset_is_noted_when_it_changes():
     one.write(one.device(2), 40, b'\x7f', S)
     assert len(notes(one)) == 2
     one.write(one.device(2), 40, b'\x80', S)
-    assert notes(one)[2:] == [(ev.CALIBRATED, 2, ev.Nothing())]
+    assert notes(one)[2:] == [(ev.CALIBRATED, 2, ev.NoDetail())]
 
 
 # --- the table -------------------------------------------------------------------------------
@@ -250,10 +250,10 @@ def test_nothing_is_kept_from_the_limit_on():
 def test_a_register_has_the_meaning_that_another_gives_it():
     model = MODELS.by_name('XL430-W250')
     table, raw = Table(), model.by_name['Profile Velocity']
-    assert table.in_force(raw, model) is raw           # Drive Mode was not seen
+    assert table.resolve_cases(raw, model) is raw           # Drive Mode was not seen
     for mode, of in ((b'\x04', 4), (b'\x01', 0), (b'\x05', 4)):
         table.store(10, mode, S, READ)
-        assert table.in_force(raw, model) is raw.cases.fields[of]
+        assert table.resolve_cases(raw, model) is raw.cases.fields[of]
 
 
 def test_a_register_that_decides_is_read_in_its_order_of_bytes():
@@ -262,7 +262,7 @@ def test_a_register_that_decides_is_read_in_its_order_of_bytes():
                                 Field(2, 'Goal', 'u8', cases=cases)))
     table = Table()
     table.store(0, b'\0\1', S, READ)
-    assert table.in_force(model.by_name['Goal'], model).unit == 'rad'
+    assert table.resolve_cases(model.by_name['Goal'], model).unit == 'rad'
 
 
 # --- who must answer -------------------------------------------------------------------------
@@ -273,7 +273,7 @@ def due(level, asked, write_acks='auto', acks=None, missing=0, missed=0):
     device.return_level, device.acks = level, acks
     device.acks_missing, device.missed_in_a_row = missing, missed
     duty = ReplyPolicy(write_acks, 4, one, one._evidence)
-    return duty.is_due(Slot(device, asked, NO_SPAN, 0, ignore_data))
+    return duty.judge_silence(Slot(device, asked, NO_SPAN, 0, ignore_data))
 
 
 @pytest.mark.parametrize(('parts', 'expected'), ROWS['due'])
@@ -395,9 +395,9 @@ def plan_of(*numbers):
 @pytest.mark.parametrize(('silent', 'spoke', 'expected'), ROWS['turn'])
 def test_who_had_its_turn(silent, spoke, expected):
     plan = plan_of(1, 2, 3)
-    assert plan.served([plan.slots[number] for number in silent], {*spoke}) \
+    assert plan.find_blocker([plan.slots[number] for number in silent], {*spoke}) \
         == tuple(expected)
-    assert (plan.size, plan.request.address) == (14, 132)
+    assert (plan.slots_size, plan.request.address) == (14, 132)
 
 
 def test_plans_are_counted_and_forgotten_without_losing_counts():
@@ -407,13 +407,13 @@ def test_plans_are_counted_and_forgotten_without_losing_counts():
     plan = planner.plan_for(read, S)
     assert planner.plan_for(read, S) is plan
     plan.asked += 5
-    planner.plans()
-    assert (one.device(3).counts.reads, planner.instructions()) == (5, 5)
+    planner.updated_plans()
+    assert (one.device(3).counts.reads, planner.instruction_count()) == (5, 5)
     planner.forget_plans()
-    assert (one.device(3).counts.reads, planner.instructions(), planner.known) == (5, 5, {})
+    assert (one.device(3).counts.reads, planner.instruction_count(), planner.known) == (5, 5, {})
     again = planner.plan_for(read, S)
     again.asked += 2
-    assert planner.instructions() == 7
+    assert planner.instruction_count() == 7
     assert planner.has_answer(3, 4)
     assert not planner.has_answer(3, 3)
     assert not planner.has_answer(4, 4)

@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 from rigs.tables import rows_of
+from servobus.bus.table import kept_end
 from servobus.bus.table import READ
-from servobus.bus.table import size_of
 from servobus.bus.table import Table
 from servobus.model.control_table import Bits
 from servobus.model.control_table import Field
@@ -43,7 +43,7 @@ def test_spot(name, register, raw, unit, text):
         Path(__file__).with_name('register_meanings.yaml').read_text(encoding='utf-8')))
 def test_a_meaning_hangs_on_another_register(name, selector, code, register, raw, key, text):
     model, table = named(name), Table()
-    table.limit = size_of(model)
+    table.limit = kept_end(model)
     if selector:
         table.store(model.by_name[selector].at, bytes((code,)), 1, READ)
     field = model.by_name[register]

@@ -12,7 +12,7 @@ from msg_defs.dxl_packet import HEADER
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
-from servobus.bus.decoder import PROTOCOLS
+from servobus.bus.decoder import PROTOCOL_CHOICES
 from servobus.bus.decoder import Settings
 from servobus.model.models import Models
 from servobus.monitor import Monitor
@@ -45,7 +45,7 @@ ODD = {
 @pytest.mark.parametrize('name', ODD)
 def test_an_odd_packet_ends_nothing_and_each_byte_is_counted(name):
     family, odd = ODD[name]
-    for protocol in PROTOCOLS:
+    for protocol in PROTOCOL_CHOICES:
         for side in (UNKNOWN, OUT, IN):
             monitor = Monitor('bus', MODELS, Settings(baud=BAUD, protocol=protocol))
             now = 1_000_000_000

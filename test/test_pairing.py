@@ -18,7 +18,7 @@ HEARD = yaml.safe_load(Path(__file__).with_name('pairing.yaml').read_text(encodi
 def known(bus, key):
     what, *numbers = key.split()
     if what == 'count':
-        bus.tracker.planner.plans()
+        bus.tracker.planner.updated_plans()
         return bus.evidence.counts[' '.join(numbers)]
     if not numbers:
         return {'kinds': bus.kinds(), 'devices': sorted(bus.registry.devices),

@@ -24,7 +24,7 @@ from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import PURGED
 from msg_defs.event import UNREAD
-from servobus.bus.report import OWN
+from servobus.bus.report import OTHER_PART
 from servobus.bus.report import STOLE_REPLIES
 from servobus.examination import Examination
 from servobus.model.models import Models
@@ -229,11 +229,11 @@ def test_an_error_bit_of_feetech_is_what_is_now():
 
 
 @pytest.mark.parametrize(('said', 'others'), [
-    ('+1 +2 1 2 1 2', OWN), ('+1 +2 1 1 1 1', ''), ('+1 +2 1 1 2 2', ''),
+    ('+1 +2 1 2 1 2', OTHER_PART), ('+1 +2 1 1 1 1', ''), ('+1 +2 1 1 2 2', ''),
     ('+1 1 -1 +2 2 -2 +1 1 -1 +2 2', ''),          # one after the other
     ('+1 +2 1 2 1 robbed 1', STOLE_REPLIES), ('+1 +2 1 2 1 -2 robbed 1', ''),
     ('+1 1 +2 2 r1', STOLE_REPLIES), ('+1 1 r1 +2 2 r2', ''), ('+1 1 +2 r2 r2', ''),
-    ('+1 t1 t1 t1', OWN), ('+1 t2 t2 t2', STOLE_REPLIES), ('+1 t2 t2 t2 t1', STOLE_REPLIES),
+    ('+1 t1 t1 t1', OTHER_PART), ('+1 t2 t2 t2', STOLE_REPLIES), ('+1 t2 t2 t2 t1', STOLE_REPLIES),
     ('+1 t1 t1', ''), ('+1 t2 t2', ''), ('+1 t3', STOLE_REPLIES),
     ('+1 1 t1 robbed 1', STOLE_REPLIES),
 ], ids=['two', 'one idle', 'handed on', 'in turns', 'robbed', 'unplugged', 'reads of the other',

@@ -102,7 +102,7 @@ def test_a_write_that_makes_no_sense_hides_none_behind_it(senseless):
                  + encode(BROADCAST, I.BULK_WRITE, b'\x03' + words(GOAL, 4) + data)
                  + write(4, GOAL, data) + reply(4))
         assert [bus.known(n, GOAL) for n in (1, 2, 3, 4)] == [data, b'bbbb', data, data]
-    bus.tracker.planner.plans()
+    bus.tracker.planner.updated_plans()
     assert bus.evidence.counts[ev.MALFORMED] == 2
 
 

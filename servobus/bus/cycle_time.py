@@ -32,16 +32,16 @@ from servobus.bus.report import CycleTimes
 
 PARTS = ('cycle', 'cycle_wire', 'cycle_device', 'cycle_waiting', 'cycle_program')
 VAIN_WAIT_MIN_NS = 50_000
-REPETITIONS_NEEDED = 4                         # repetitions
+REPETITIONS_NEEDED = 4             # repetitions
 LOOP_GOES_ON_NS = 3_000_000_000
-SAME_PERIOD_SHARE = 0.1                        # share of a period: two instructions of one cycle
-PACED_SPREAD = 0.25                        # spread of repetitions that a clock paces
-TIMES_A_CYCLE_END = 4                          # more often in one cycle nothing is asked
-SHORT_GAP_SHARE = 0.4                        # share of the mean: asked again in the same cycle
-WHOLE_RATIO_SHARE = 0.05                       # share of a ratio: from the next whole number
-BLURRED_MIN_SHARE = 0.01                     # share of the cycle
-INSTRUCTIONS_COMPARED = 32                     # instructions
-PAUSE_MIN_PERIODS = 10                          # times the usual cycle: a pause
+SAME_PERIOD_SHARE = 0.1            # share of a period: two instructions of one cycle
+PACED_SPREAD = 0.25                # spread of repetitions that a clock paces
+TIMES_A_CYCLE_END = 4              # more often in one cycle nothing is asked
+SHORT_GAP_SHARE = 0.4              # share of the mean: asked again in the same cycle
+WHOLE_RATIO_SHARE = 0.05           # share of a ratio: from the next whole number
+BLURRED_MIN_SHARE = 0.01           # share of the cycle
+INSTRUCTIONS_COMPARED = 32         # instructions
+PAUSE_MIN_PERIODS = 10             # times the usual cycle: a pause
 NO_SIDES = 'this source does not say who sent what'
 NO_RATE = 'the baud rate is unknown'
 
@@ -69,7 +69,7 @@ class Pace(NamedTuple):
             return is_whole and not is_mostly_missed(self.plan)
         return other.spread > max(PACED_SPREAD, 2 * self.spread) and (is_whole or ratio < 2)
 
-    def is_group(self, one: Pace) -> bool:
+    def is_group_of(self, one: Pace) -> bool:
         """Tell whether this is the pace of groups of a question that is asked at that pace."""
         return one.shortest < SHORT_GAP_SHARE * one.period \
             and TIMES_A_CYCLE_END * self.spread * self.period < one.spread * one.period
@@ -93,7 +93,7 @@ def pace_of(plan: Plan, times: int = 1) -> Pace | None:
     return Pace(plan, times, period, usual[edge], (usual[-1 - edge] - usual[edge]) / period)
 
 
-def control_loop(plans: Iterable[Plan], now: int) -> list[Pace]:
+def find_control_loop(plans: Iterable[Plan], now: int) -> list[Pace]:
     """Return what is asked once in each turn of the fastest loop that goes on, or often in it."""
     often = sorted([plan for plan in plans
                     if plan.stamps and now - plan.stamps[-1] < LOOP_GOES_ON_NS],
@@ -106,7 +106,7 @@ def control_loop(plans: Iterable[Plan], now: int) -> list[Pace]:
             return alike
         if not any(one.contains(first) for one in found[at + 1:]):
             groups = [one for times in range(2, TIMES_A_CYCLE_END)
-                      if (one := pace_of(first.plan, times)) and one.is_group(first)]
+                      if (one := pace_of(first.plan, times)) and one.is_group_of(first)]
             return groups[:1] or alike
     return []
 
@@ -189,11 +189,11 @@ class CycleClock:
             return
         self._wire -= wire_ns                  # it belongs to the cycle that begins
         if self._began and began - self._began < PAUSE_MIN_PERIODS * self._period:
-            self._add(began)
+            self._add_cycle(began)
         self._start_cycle(began)
         self._wire = wire_ns
 
-    def _add(self, now: int) -> None:
+    def _add_cycle(self, now: int) -> None:
         traced = min(self._traced, self._program)
         waiting = sum(self._waiting.values()) if self._waiting else 0.0
         values = now - self._began, self._wire, self._device, waiting, self._program - traced
@@ -219,7 +219,7 @@ class CycleClock:
 
     def choose_leader(self, plans: Iterable[Plan], now: int) -> None:
         """Look for the instruction that begins each cycle."""
-        alike = control_loop(plans, now)
+        alike = find_control_loop(plans, now)
         before, self._period = self._period, alike[0].period if alike else 0.0
         least = self._period / 2 if alike and alike[0].times > 1 else 0.0
         if alike and (not any(one.plan is self._leader for one in alike)

@@ -46,10 +46,11 @@ from servobus.bus.registry import DeviceRegistry
 from servobus.bus.report import CycleTimes
 from servobus.bus.report import PROTOCOL_2
 from servobus.bus.tracker import Tracker
+from servobus.model.control_table import PROTOCOLS
 from servobus.model.models import Models
 
-PROTOCOLS = ('auto', '2', '1', 'feetech')
-ANSWER_MAX_NS = 1_000_000_000  # a broadcast Ping may take 0.8 s; nothing pending takes longer
+PROTOCOL_CHOICES = ('auto', *PROTOCOLS)
+ANSWER_MAX_NS = 1_000_000_000      # a broadcast Ping may take 0.8 s; nothing pending takes longer
 
 
 class Settings(NamedTuple):
@@ -211,7 +212,7 @@ class BusDecoder:
         self.clock.process_change(change, stamp)
         if what == BAUD:                       # it opens the port, or sets another rate
             self._set_baud(value, stamp)
-            self.sessions.begin(stamp, self._sent)
+            self.sessions.begin(stamp, self._sent_bytes)
         elif what == LATENCY_TIMER:
             self.set_latency_timer(value)
         elif what == NOT_SENT:
@@ -219,7 +220,7 @@ class BusDecoder:
         elif what == UNREAD:
             received = self.framers[IN].bytes if IN in self.framers else 0
             self.tracker.unread.report_waiting(value, received, stamp)
-            self.echo.count_waiting(value)
+            self.echo.note_waiting(value)
         elif what == PURGED:
             if value & 1:
                 self._discard_unread(stamp)
@@ -236,7 +237,7 @@ class BusDecoder:
             self._lose_stream(what, value, stamp)
 
     @property
-    def _sent(self) -> int:
+    def _sent_bytes(self) -> int:
         """How many bytes the program has sent."""
         return self.framers[OUT].bytes if OUT in self.framers else 0
 
@@ -251,7 +252,7 @@ class BusDecoder:
     def _lose_stream(self, what: str, value: int, stamp: int) -> None:
         """Note that the port is closed or gone, or that events were lost."""
         if what == CLOSED:
-            self.sessions.end(stamp, self._sent, self.tracker.asked, self._last_in)
+            self.sessions.end(stamp, self._sent_bytes, self.tracker.asked, self._last_in)
         elif what == GONE and value > 1:       # the errno that the program got
             self.tracker.lose_port(stamp, value)
         self._end_stream(stamp, value if what == LOST else 0)

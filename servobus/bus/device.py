@@ -22,7 +22,7 @@ from servobus.bus.report import Counts
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import PROTOCOL_2
 from servobus.bus.report import ReplyLatency
-from servobus.bus.table import size_of
+from servobus.bus.table import kept_end
 from servobus.bus.table import Span
 from servobus.bus.table import Table
 from servobus.model.control_table import Field
@@ -30,12 +30,12 @@ from servobus.model.control_table import Model
 from servobus.model.control_table import UNKNOWN
 from servobus.model.layout import GOAL_AT
 from servobus.model.layout import order_of
-from servobus.model.layout import PLACE_AT
+from servobus.model.layout import POSITION_AT
 from servobus.model.layout import SPEED_AT
 from servobus.model.layout import Use
 from servobus.model.layout import USE_MAX_BYTES
 
-RESOLVED_NEEDED = 0.2              # the share of answers that makes a latency worth a figure
+RESOLVED_MIN_SHARE = 0.2           # the share of answers that makes a latency worth a figure
 LATE_REPLY_NS = 100_000_000        # no servo takes as long: its Return Delay Time ends at 0.5 ms
 _ERRORS_KEPT = 64                  # distinct (instruction, address, error)
 RETURN_LEVEL = 'Status Return Level'
@@ -43,11 +43,11 @@ OFFSET = 'Homing Offset'
 TORQUE = 'Torque Enable'
 PLACE = 'Present Position'
 _SPECIAL = ('ID', 'Baud Rate', RETURN_LEVEL)
-_CALIBRATING = (OFFSET, TORQUE)     # how it is calibrated
+_CALIBRATING_REGISTERS = (OFFSET, TORQUE)  # how it is calibrated
 _USES_KEPT = 64
-_REPLY_SPREAD_NS = 3_000_000             # by Return Delay Time 0.5 ms, and as much as USB adds
-ID_END = 9                         # where ID and Baud Rate end in a table that is not known
-_NUMBER_SIZE = 2                   # bytes: Model Number
+_SECOND_REPLY_MAX_NS = 3_000_000   # by Return Delay Time 0.5 ms, and as much as USB adds
+UNKNOWN_EEPROM_END = 9             # ID and Baud Rate, in a table that is not known
+_MODEL_NUMBER_BYTES = 2
 
 
 class Device:
@@ -123,7 +123,7 @@ class Device:
         self.model = model
         self._special, self._eeprom_end, self._level_at = _special_of(model)
         self.followed_end = max(self._eeprom_end, self._level_at + 1)
-        self.table.limit = size_of(model)
+        self.table.limit = kept_end(model)
         level = self.table.bytes(self._level_at, 1) if self._level_at >= 0 else None
         for _, value in self.special_values(self._level_at, level or b''):
             self.set_return_level(value)
@@ -136,13 +136,13 @@ class Device:
     def all_uses(self) -> frozenset[Use]:
         """Return what a program uses of it, and the order of bytes that makes sense there."""
         if self.dialect is FEETECH:
-            place, speed, goal = (self.table.bytes(at, 2) for at in (PLACE_AT, SPEED_AT, GOAL_AT))
-            self.used |= order_of(place or speed, goal)
+            seen = self.table.bytes
+            self.used |= order_of(seen(POSITION_AT, 2) or seen(SPEED_AT, 2), seen(GOAL_AT, 2))
         return frozenset(self.used)
 
     def is_defined_by(self, address: int, size: int) -> bool:
         """Return whether these bytes, read, may tell what the device is or does."""
-        return (address <= self.identity_at <= address + size - _NUMBER_SIZE
+        return (address <= self.identity_at <= address + size - _MODEL_NUMBER_BYTES
                 or address <= self._level_at < address + size)
 
     @property
@@ -244,7 +244,7 @@ class Device:
 
     def has_just_answered(self, stamp: int) -> bool:
         """Return whether all its answers have come, the last just now: a next one is another's."""
-        return not self.owed and stamp - self.heard < _REPLY_SPREAD_NS
+        return not self.owed and stamp - self.heard < _SECOND_REPLY_MAX_NS
 
     def _owe(self, stamp: int, answers: int = 1) -> None:
         # Stamps of chunks: the time on the wire is only as good as the chunk is short.
@@ -268,7 +268,7 @@ class Device:
 
     def latency_report(self, now: int) -> ReplyLatency:
         resolved = self.latency_resolved / self.asked_first if self.asked_first else 0.0
-        if resolved < RESOLVED_NEEDED:
+        if resolved < RESOLVED_MIN_SHARE:
             return ReplyLatency(None, None, resolved)
         return ReplyLatency(self.latency.summary(now), self.latency.total(), resolved)
 
@@ -298,13 +298,13 @@ def report_device(device: Device, now: int, quiet_s: float) -> tuple[DeviceRepor
 @lru_cache(maxsize=256)
 def _special_of(model: Model) -> tuple[list[Field], int, int]:
     """Return the registers to follow; where those in EEPROM end; where Status Return Level is."""
-    names = _SPECIAL + (_CALIBRATING if model.protocol == FEETECH.protocol else ())
+    names = _SPECIAL + (_CALIBRATING_REGISTERS if model.protocol == FEETECH.protocol else ())
     special = [field for name in names if (field := model.by_name.get(name)) is not None]
     ends = [field.end for field in special if field.name != RETURN_LEVEL]
     ends += [field.end for field in model.fields
              if field.memory == 'eeprom' and 'w' in field.access]
     level_at = next((field.at for field in special if field.name == RETURN_LEVEL), -1)
-    return special, max(ends, default=ID_END), level_at
+    return special, max(ends, default=UNKNOWN_EEPROM_END), level_at
 
 
 def _special_value(field: Field, raw: bytes) -> int:

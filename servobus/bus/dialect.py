@@ -18,16 +18,16 @@ from msg_defs.dxl_instruction import Request
 from servobus.model.layers import model_key
 from servobus.model.models import Models
 
-STRONG_VOTE = 4  # as much decides, if the other has no more than a quarter of it
+STRONG_VOTE = 4                    # as much decides, if the other has no more than a quarter of it
 WEAK_VOTE = 1
 # Of Dynamixel: Torque Enable to Moving Speed, Present Position. Of Feetech: Torque Enable,
 # Acceleration and Goal Position, Present Position and more. The other has something else there.
-DYNAMIXEL_AT = {(24, 1), (25, 1), (30, 2), (30, 4), (32, 2), (36, 2), (36, 4), (36, 6), (36, 8)}
-FEETECH_AT = {(41, 7), (42, 2), (42, 6), (55, 1)}
+DYNAMIXEL_USES = {(24, 1), (25, 1), (30, 2), (30, 4), (32, 2), (36, 2), (36, 4), (36, 6), (36, 8)}
+FEETECH_USES = {(41, 7), (42, 2), (42, 6), (55, 1)}
 FEETECH_READS = range(56, 67)      # Present Position and more; no Dynamixel has a register there
 _READ = 0x02
-_LOCKS = 0x03, (55, 1)             # a write of Lock: no Dynamixel 1.0 has a register there
-_BY_NAME = {'1': DYNAMIXEL_1, 'feetech': FEETECH}
+_LOCK_WRITE = 0x03, (55, 1)        # a write of Lock: no Dynamixel 1.0 has a register there
+_BY_PROTOCOL = {'1': DYNAMIXEL_1, 'feetech': FEETECH}
 
 
 class DialectChoice:
@@ -35,8 +35,8 @@ class DialectChoice:
 
     def __init__(self, models: Models, protocol: str = 'auto') -> None:
         self._models = models
-        self._is_fixed = protocol in _BY_NAME
-        self.dialect: Dialect = _BY_NAME.get(protocol, UNDECIDED)
+        self._is_fixed = protocol in _BY_PROTOCOL
+        self.dialect: Dialect = _BY_PROTOCOL.get(protocol, UNDECIDED)
         self._votes = {DYNAMIXEL_1.name: 0, FEETECH.name: 0}
 
     def vote_by_devices(self, dialects: Iterable[Dialect | None]) -> None:
@@ -51,12 +51,12 @@ class DialectChoice:
             else None
         if code in DYNAMIXEL_1.entries and code not in FEETECH.entries:
             return self._vote(DYNAMIXEL_1, STRONG_VOTE)
-        if where in DYNAMIXEL_AT:          # a Sync Read too, which it has not
+        if where in DYNAMIXEL_USES:          # a Sync Read too, which it has not
             return self._vote(DYNAMIXEL_1, WEAK_VOTE)
         if code in FEETECH.entries and code not in DYNAMIXEL_1.entries:
             return self._vote(FEETECH, STRONG_VOTE)
-        if where in FEETECH_AT or (where is not None and where[0] in FEETECH_READS):
-            return self._vote(FEETECH, STRONG_VOTE if (code, where) == _LOCKS else WEAK_VOTE)
+        if where in FEETECH_USES or (where is not None and where[0] in FEETECH_READS):
+            return self._vote(FEETECH, STRONG_VOTE if (code, where) == _LOCK_WRITE else WEAK_VOTE)
         return False
 
     def vote_by_model_number(self, request: Request, data: bytes) -> bool:

@@ -54,11 +54,11 @@ MEANINGS_KEPT = 1024
 
 AnyFramer = Framer | MixedFramer | dxl1_packet.Dxl1Framer
 # Takes frames with their meaning, the stamp of their chunk, the offset after it, its side.
-Process = Callable[[Frames, int, int, str], None]
+ProcessFrames = Callable[[Frames, int, int, str], None]
 Content = tuple[int, int, bytes]              # ID, code and parameters of a packet
 # What an instruction is: its kind and parameters in common form; who answers with how much.
 Meaning = tuple[int, bytes, Request, dict[int, int]]
-_IS_OPEN = Flaw(OPEN)
+_UNDECIDED_FLAW = Flaw(OPEN)
 _NOTHING = Request(0, 0xFF, Answers.NONE)
 _SYNC_WRITE = 0x83
 # Who answers these, and how much, their bytes alone tell; a write depends on its device as well.
@@ -74,7 +74,7 @@ class Dxl1Classifier:
     """
 
     def __init__(self, registry: DeviceRegistry, evidence: Evidence, choice: DialectChoice,
-                 detector: Detector | None, process: Process) -> None:
+                 detector: Detector | None, process: ProcessFrames) -> None:
         self._process = process
         self._evidence = evidence
         self._registry = registry
@@ -101,7 +101,7 @@ class Dxl1Classifier:
         detector = self._detector
         devices = self._registry.devices
         is_noisy = False
-        proving = self._take_proof(detector.proof, frames) \
+        proving = self._process_proof(detector.proof, frames) \
             if detector is not None and detector.proof else None
         for frame in frames:
             _, _, kind, number, _, _, flaw = frame
@@ -129,13 +129,13 @@ class Dxl1Classifier:
             self._count_first_byte_lost(framer)
         self._process(found, stamp, received, side)
 
-    def _take_proof(self, proof: list[Candidate], frames: Frames) -> Frame:
+    def _process_proof(self, proof: list[Candidate], frames: Frames) -> Frame:
         """Take packets of earlier chunks, out of frames too; return the one that proved them."""
         last = proof[-1]
         earlier = proof if last.received != last.framer.bytes else proof[:-1]
         for one in earlier:
             self._report_family(one.framer, one.frame, one.stamp)
-            self._take_earlier(self._classify_packet(*one[1:]), *one[2:])
+            self._process_earlier(self._classify_packet(*one[1:]), *one[2:])
         frames[:] = [one for one in frames if one is not earlier[-1].frame]
         return last.frame
 
@@ -147,7 +147,7 @@ class Dxl1Classifier:
         self._registry.set_dialect(self._choice.dialect)
         return kept
 
-    def _take_earlier(self, frame: Frame, stamp: int, received: int, side: str) -> None:
+    def _process_earlier(self, frame: Frame, stamp: int, received: int, side: str) -> None:
         """Hand on a packet of an earlier chunk."""
         found = [frame]
         if self._has_decided:
@@ -183,7 +183,7 @@ class Dxl1Classifier:
         is_next = not is_same or flaw is None or not (flaw.reason or flaw.noise_length)
         frame = self._confirmed(held, is_next)
         if not is_same or held.received != framer.bytes:       # from an earlier chunk
-            self._take_earlier(frame, *held[2:])
+            self._process_earlier(frame, *held[2:])
             return
         found.append(frame)
         if self._has_decided:
@@ -193,7 +193,7 @@ class Dxl1Classifier:
         """Take the packet that waits, if the line is idle after it."""
         held = self._unconfirmed
         if held is not None and not held.framer.pending:
-            self._take_earlier(self._confirmed(held, not held.framer.noise_length), *held[2:])
+            self._process_earlier(self._confirmed(held, not held.framer.noise_length), *held[2:])
 
     def _confirmed(self, held: Candidate, is_next: bool) -> Frame:
         """Return what the packet that waits means; is_next: there is no noise after it."""
@@ -202,7 +202,7 @@ class Dxl1Classifier:
                 or self._confirmation.exists(held.frame, held.stamp, is_next):
             return self._classify_packet(*held[1:])
         self.packets += 1
-        return _as_open(held.frame)
+        return _as_undecided(held.frame)
 
     # --- instruction or status? -----------------------------------------------------------------
 
@@ -218,7 +218,7 @@ class Dxl1Classifier:
             ended = stamp - (received - end) * self._registry.byte_ns
             is_status = side != OUT and self._is_status((number, code, params), ended, awaited)
             if is_status is None:
-                return _as_open(frame)
+                return _as_undecided(frame)
             if not is_status:
                 kind, params = self._classify_instruction((number, code, params), ended)
                 return begin, end, kind, number, code, params, flaw
@@ -226,7 +226,7 @@ class Dxl1Classifier:
             del self._awaited[number]
         if params and self._request.id == number and self._choice.dialect is UNDECIDED \
                 and self._choice.vote_by_model_number(self._request, params):
-            self._decide()
+            self._note_decision()
         if code or self._errors.get(number, -1):
             code = self._store_error(number, code, stamp)
         return begin, end, IS_STATUS, number, code, params, flaw
@@ -273,7 +273,7 @@ class Dxl1Classifier:
         if known is None:
             known = self._parse_instruction(content)
         elif self._choice.dialect is UNDECIDED and self._choice.vote_by_instruction(known[2]):
-            self._decide()
+            self._note_decision()
         kind, params, self._request, awaited = known
         self._awaited = awaited.copy()
         return kind, params
@@ -284,7 +284,7 @@ class Dxl1Classifier:
         dialect = choice.dialect if code in choice.dialect.entries else UNDECIDED
         request = parse(code, number, params, dialect)
         if choice.vote_by_instruction(request):
-            self._decide()
+            self._note_decision()
         known = *widen_instruction(code, number, params), request, self._awaited_by(request)
         if request.answers in _KNOWN_BY_PARAMETERS:
             if len(self._meanings) >= MEANINGS_KEPT:
@@ -321,13 +321,14 @@ class Dxl1Classifier:
         is_status = side == IN or (side != OUT and number in self._awaited)
         return begin, end, IS_STATUS if is_status else INSTRUCTION_1, number, code, data, flaw
 
-    def _decide(self) -> None:
+    def _note_decision(self) -> None:
         """Read what comes as the dialect has it that is known now."""
         self._meanings.clear()
         self._has_decided = True
 
 
-def _as_open(frame: Frame) -> Frame:
+def _as_undecided(frame: Frame) -> Frame:
     """Return a packet that may be an instruction or a status, or nothing."""
     begin, end, kind, number, code, params, _ = frame
-    return begin, end, kind, number, code, dxl1_packet.content(number, code, params), _IS_OPEN
+    content = dxl1_packet.content(number, code, params)
+    return begin, end, kind, number, code, content, _UNDECIDED_FLAW

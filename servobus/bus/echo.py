@@ -8,15 +8,15 @@ from itertools import islice
 from servobus.bus import evidence as ev
 from servobus.bus.evidence import Evidence
 
-PING_BYTES = 6                         # bytes: a Ping of the 1.0 family may be a status as well,
-READ_BYTES = 8  # and a Read that nothing follows, but not two different ones
-HEAD_BYTES = 5                         # header, ID, Length, instruction of the 1.0 family
+PING_BYTES = 6                     # bytes: a Ping of the 1.0 family may be a status as well,
+READ_BYTES = 8                     # and a Read that nothing follows, but not two different ones
+HEAD_BYTES = 5                     # header, ID, Length, instruction of the 1.0 family
 _PING, _READ = 1, 2
-_LENGTH_AT, _CODE_AT, _SIZE_AT = 3, 4, 6    # a Read of 2 bytes and its answer have one Length
-_RESERVED = 0xFD                       # Protocol 2.0, where an answer begins as an instruction
-WRITES_KEPT = 512                     # as many as lie unread in the 4 kB of a tty
-SEARCHED_WRITES = 16                   # any of them may be the first that came back whole
-RECEIVED_KEPT_BYTES = 4096                        # bytes received since
+_LENGTH_AT, _CODE_AT, _SIZE_AT = 3, 4, 6  # a Read of 2 bytes and its answer have one Length
+_RESERVED = 0xFD                   # Protocol 2.0, where an answer begins as an instruction
+WRITES_KEPT = 512                  # as many as lie unread in the 4 kB of a tty
+SEARCHED_WRITES = 16               # any of them may be the first that came back whole
+RECEIVED_KEPT_BYTES = 4096         # bytes received since
 
 
 class EchoCounter:
@@ -74,7 +74,7 @@ class EchoCounter:
                 return at
         return -1
 
-    def count_waiting(self, waiting: int) -> None:
+    def note_waiting(self, waiting: int) -> None:
         """Take how many bytes came or wait since; one write has one answer."""
         self._count_echoes(bool(self._last) and waiting > 0)
         self._last = b''

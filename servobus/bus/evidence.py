@@ -25,19 +25,19 @@ from msg_defs.frame import Flaw
 from msg_defs.frame import Frame
 from msg_defs.frame import is_good
 from msg_defs.frame import IS_STATUS
-from msg_defs.frame import OPEN as OPEN_FRAME
+from msg_defs.frame import OPEN
 from servobus.bus.report import Error
 from servobus.bus.report import Incident
 from servobus.bus.report import IncidentKind
 from servobus.bus.report import Wait
 
 NO_DEVICE = -1
-Register = Callable[[int, int], str]        # what a device calls the register at an address
+RegisterNamer = Callable[[int, int], str]        # what a device calls the register at an address
 
 
 # --- what is known of an incident besides its device -------------------------------------------
 
-class Nothing(NamedTuple):
+class NoDetail(NamedTuple):
     """That it happened is all."""
 
 
@@ -75,7 +75,7 @@ class Refusal(NamedTuple):
     error: int
 
 
-class Again(NamedTuple):
+class Repetition(NamedTuple):
     """An instruction, so many us after the first one (an echo: 0)."""
 
     instruction: int
@@ -129,61 +129,61 @@ DAMAGED_STATUS = IncidentKind('damaged status', PacketHeader)
 DAMAGED_INSTRUCTION = IncidentKind('damaged instruction', PacketHeader)
 BAD_LENGTH = IncidentKind('bad length', Length)
 CUT = IncidentKind('cut', PacketHeader)                              # it ends too early
-GLITCH = IncidentKind('glitch', Nothing)                      # counted only: a byte or two ahead
+GLITCH = IncidentKind('glitch', NoDetail)                      # counted only: a byte or two ahead
 MISSED = IncidentKind('missed', Unanswered)                     # the first of a row
 DISCONNECTED = IncidentKind('disconnected', Count)
 RETURNED = IncidentKind('returned', SilentFor)
 REFUSED = IncidentKind('refused', Refusal)
-ALERT = IncidentKind('alert', Nothing)                        # it began
+ALERT = IncidentKind('alert', NoDetail)                        # it began
 SECOND_ANSWER = IncidentKind('second answer', Code)           # already answered by this ID
 ANSWERED_AGAIN = IncidentKind('answered again', Code)         # after damage that hid another
-UNASKED = IncidentKind('unasked answer', Nothing)
+UNASKED = IncidentKind('unasked answer', NoDetail)
 LATE = IncidentKind('late answer', Lateness)
 TOO_LONG = IncidentKind('noise too long', Sizes)              # for all answers that were due
 WRONG_SIZE = IncidentKind('wrong size', Sizes)
 FAST_CUT = IncidentKind('fast reply cut', Sizes)
-REPEATED = IncidentKind('repeated', Again)
+REPEATED = IncidentKind('repeated', Repetition)
 UNSTUFFED = IncidentKind('unstuffed', Code)                   # FF FF FD without its FD
 BAUD_WRITTEN = IncidentKind('Baud Rate written', Written)     # the code
 LOCKED = IncidentKind('locked', Written)                      # EEPROM; the address
-OPEN = IncidentKind('undecided packet', Code)                 # an instruction or a status (1.0)
-CALIBRATED = IncidentKind('calibrated', Nothing)              # the position became the middle
+UNDECIDED_PACKET = IncidentKind('undecided packet', Code)     # an instruction or a status (1.0)
+CALIBRATED = IncidentKind('calibrated', NoDetail)              # the position became the middle
 OFFSET_WRITTEN = IncidentKind('offset written', Offsets)       # Homing Offset of Feetech
-REBOOTED = IncidentKind('rebooted', Nothing)
+REBOOTED = IncidentKind('rebooted', NoDetail)
 REPLACED = IncidentKind('Reg Write replaced', Count)     # in a row, before an Action
 ACKS_STOPPED = IncidentKind('acks stopped', Count)
 UNKNOWN_INSTRUCTION = IncidentKind('unknown instruction', Code)
 MALFORMED = IncidentKind('malformed', PacketHeader)                  # length: parameter bytes
 BAD_ID = IncidentKind('bad id', Written)                      # in a status, or in an instruction
 PROTOCOL_1 = IncidentKind('protocol 1.0', Code)
-ECHO = IncidentKind('echo', Nothing)                          # counted only: the master's
+ECHO = IncidentKind('echo', NoDetail)                          # counted only: the master's
 FOREIGN = IncidentKind('foreign instruction', Code)           # it came to the master
-READ_BY_ADAPTER = IncidentKind('read by the adapter', Nothing)      # counted only: its status
-UNKNOWN_ANSWERED = IncidentKind('unknown instruction answered', Nothing)      # counted only
+READ_BY_ADAPTER = IncidentKind('read by the adapter', NoDetail)      # counted only: its status
+UNKNOWN_ANSWERED = IncidentKind('unknown instruction answered', NoDetail)      # counted only
 NOT_SENT = IncidentKind('not sent', Code)
 THROWN_AWAY = IncidentKind('answers thrown away', Code)       # unread
 WRONG_PACKET = IncidentKind('wrong packet', Code)             # the master's: none takes it
 HUNG = IncidentKind('question never given up', Lateness)
 RETURN_ADDED = IncidentKind('sent with 0D before 0A', Code)   # by the driver of the port
-SPLIT = IncidentKind('answer read in part', Nothing)          # the program asked before its end
+SPLIT = IncidentKind('answer read in part', NoDetail)          # the program asked before its end
 TAKEN_FOR = IncidentKind('taken for another', Count)   # the ID that answered; asked on at once
-NOT_TAKEN = IncidentKind('not taken at once', Nothing)         # counted only: the same, later
-STUFFED = IncidentKind('stuffing left unread', Nothing)       # as many bytes as that added
-STALE = IncidentKind('stale answers', Nothing)                # it reads those, not the new ones
-SESSION_UNANSWERED = IncidentKind('vain session', Nothing)    # from opening to closing
-SESSION_ANSWERED_LATE = IncidentKind('answered later', Nothing)     # asked long after the opening
-SESSION_ANSWERED = IncidentKind('answered soon', Nothing)     # counted only
+NOT_TAKEN = IncidentKind('not taken at once', NoDetail)         # counted only: the same, later
+STUFFED = IncidentKind('stuffing left unread', NoDetail)       # as many bytes as that added
+STALE = IncidentKind('stale answers', NoDetail)                # it reads those, not the new ones
+SESSION_UNANSWERED = IncidentKind('vain session', NoDetail)    # from opening to closing
+SESSION_ANSWERED_LATE = IncidentKind('answered later', NoDetail)     # asked long after the opening
+SESSION_ANSWERED = IncidentKind('answered soon', NoDetail)     # counted only
 PORT_LOST = IncidentKind('port lost', Count)                   # the errno
 SOURCE_LOST = IncidentKind('source lost', Count)
 LEFT_OPEN = IncidentKind('last question open', Lateness)      # it ended too soon to know
 
 _INCIDENTS_KEPT = 1000
 _STUFFED = b'\xff\xff\xfd\xfd'
-_LENGTH_END = 3                     # in a damaged frame: its ID and Length
-_FREQUENT_APART_NS = 100_000_000  # between two that are kept, where each packet may be one
+_LENGTH_END = 3                    # in a damaged frame: its ID and Length
+_FREQUENT_APART_NS = 100_000_000   # between two that are kept, where each packet may be one
 _ERRORS_KEPT = 50
 WAITS_KEPT = 256
-NOISE_DATA_END = 63                 # parameters: noise with more of them is no packet
+NOISE_DATA_END = 63                # parameters: noise with more of them is no packet
 
 # The lines of the error log; what is not listed here is not an error. {place}: at which
 # register, nothing where the instruction names none.
@@ -221,7 +221,7 @@ class Evidence:
         self._errors: deque[Incident[Any]] = deque(maxlen=_ERRORS_KEPT)
         self.waits: deque[Wait] = deque(maxlen=WAITS_KEPT)
         self.counts: Counter[str] = Counter()          # by kind, since start
-        self.has_echo = False                  # of the master, on this bus
+        self.has_echo = False                  # the master hears itself
         self._kept: dict[str, int] = {}  # stamp of the last that add_frequent() kept
         self.incidents_added = self.waits_added = 0                   # incidents and waits so far
 
@@ -252,8 +252,8 @@ class Evidence:
         """Note a damaged frame, or one of which it is open what it is; what goes out is whole."""
         _, _, kind, number, code, _, _ = frame
         code = STATUS if kind == IS_STATUS else code
-        if flaw.reason == OPEN_FRAME:
-            self.add_incident(stamp, OPEN, number, code)
+        if flaw.reason == OPEN:
+            self.add_incident(stamp, UNDECIDED_PACKET, number, code)
         elif side == OUT:
             # One FF more in front is ID 255 of the 1.0 family, taken for a header.
             number = 0xFF if flaw.noise_length == 1 else number
@@ -287,14 +287,14 @@ class Evidence:
         count = min(count, len(self.incidents))
         return tuple(self.incidents[index] for index in range(-count, 0))
 
-    def errors(self, register: Register) -> tuple[Error, ...]:
+    def errors(self, register: RegisterNamer) -> tuple[Error, ...]:
         """Return the error log, the oldest line first: what is noted later may be older."""
         return tuple(Error(incident.stamp, _line(incident, register))
                      for incident in sorted(self._errors, key=attrgetter('stamp')))
 
 
 def text_of(incident: Incident[Any],
-            register: Register = lambda device, address: str(address)) -> str:
+            register: RegisterNamer = lambda device, address: str(address)) -> str:
     """Return what happened in words, without the device; '' for what is not an error."""
     words = incident.detail._asdict()
     if 'instruction' in words:
@@ -306,6 +306,6 @@ def text_of(incident: Incident[Any],
     return _TEXTS.get(incident.kind, '').format(**words, place=place)
 
 
-def _line(incident: Incident[Any], register: Register) -> str:
+def _line(incident: Incident[Any], register: RegisterNamer) -> str:
     text = text_of(incident, register)
     return text if incident.device < 0 else f'{incident.device:03}: {text}'

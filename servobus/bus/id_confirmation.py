@@ -13,11 +13,11 @@ from msg_defs.dxl1_packet import ends_with_another
 from msg_defs.frame import Frame
 from servobus.bus.registry import DeviceRegistry
 
-SIGHTINGS = 3                      # on a bus with stray bytes, noise is around all packets
-SIGHTING_NS = 1_000_000_000        # at most, from one to the next
+SIGHTINGS_NEEDED = 3               # on a bus with stray bytes, noise is around all packets
+SIGHTING_GAP_MAX_NS = 1_000_000_000  # at most, from one to the next
 # Where the IDs begin in the parameters of what is said to several, and how far apart they are: 0
 # for one more than the size before them.
-_LISTS = {0x82: (2, 1), 0x83: (2, 0), 0x92: (2, 3)}
+_ID_LISTS = {0x82: (2, 1), 0x83: (2, 0), 0x92: (2, 3)}
 
 
 class IdConfirmation:
@@ -53,13 +53,13 @@ class IdConfirmation:
         if is_alone and not is_torn:
             return True
         count, last = self._sightings.get(number, (0, 0))
-        count = count + 1 if stamp - last <= SIGHTING_NS else 1
+        count = count + 1 if stamp - last <= SIGHTING_GAP_MAX_NS else 1
         self._sightings[number] = count, stamp
-        return count >= SIGHTINGS
+        return count >= SIGHTINGS_NEEDED
 
 
 def _listed(number: int, code: int, params: bytes) -> bytes:
-    begin, step = _LISTS.get(code, (0, 0))
+    begin, step = _ID_LISTS.get(code, (0, 0))
     if number != BROADCAST or not begin or len(params) <= begin:
         return b''
     return params[begin::step or params[1] + 1]

@@ -43,7 +43,7 @@ from servobus.bus.registry import DeviceRegistry
 from servobus.bus.table import NO_SPAN
 from servobus.bus.table import WRITTEN
 
-PLANS_LOOKED_AT = 64               # a master repeats fewer
+PLANS_SEARCHED = 64                # a master repeats fewer
 TARGETS_KEPT = 64                  # different lists of IDs in Sync Writes
 SLOTS_KEPT = 32_768                # the size of all plans together: 3000 different reads
 BYTES_PER_SLOT = 32                # so many bytes of a plan's key count as one slot
@@ -95,7 +95,7 @@ class Planner:
             plan = self._make_plan(raw, stamp)
             if plan.request.malformed:
                 key = raw             # another with this front may well make sense
-            size = plan.size + (4 + len(key[3])) // BYTES_PER_SLOT
+            size = plan.slots_size + (4 + len(key[3])) // BYTES_PER_SLOT
             if self._size + size > SLOTS_KEPT or not self._registry.plans_hold:
                 self.forget_plans()
             self._size += size
@@ -109,7 +109,7 @@ class Planner:
             return parse(code, id, params)
         return parse_widened(kind, code, id, params, self._registry.dialect)
 
-    def plans(self) -> list[Plan]:
+    def updated_plans(self) -> list[Plan]:
         """Return the plans in use, with what is counted of them elsewhere brought up to date."""
         if not self._registry.plans_hold:
             self.forget_plans()
@@ -120,17 +120,17 @@ class Planner:
     def has_answer(self, number: int, size: int) -> bool:
         """Return whether an instruction of this master has an answer with so many data."""
         return any(number in plan.slots and plan.slots[number].size == size
-                   for plan in islice(self.known.values(), PLANS_LOOKED_AT))
+                   for plan in islice(self.known.values(), PLANS_SEARCHED))
 
-    def instructions(self) -> int:
+    def instruction_count(self) -> int:
         """Return how many instructions there were since start."""
         return self._retired + sum(plan.asked for plan in self.known.values())
 
     def forget_plans(self) -> None:
         """Begin again: there are too many plans, or they are outdated."""
         self._registry.plans_hold = True
-        self.plans()
-        self._retired = self.instructions()
+        self.updated_plans()
+        self._retired = self.instruction_count()
         self.known.clear()
         self._targets.clear()
         self._size = 0
@@ -161,7 +161,7 @@ class Planner:
             oddities.append((ev.UNKNOWN_INSTRUCTION, id, code))
         if request.malformed:
             oddities.append((ev.MALFORMED, id, code, len(params)))
-        if self._registry.is_impossible(request.id):
+        if self._registry.is_impossible_id(request.id):
             oddities.append((ev.BAD_ID, ev.NO_DEVICE, id))
             plan = Plan(request, {})
         else:
@@ -199,7 +199,7 @@ class Planner:
         device = self._registry.device(access.id)
         accept: Accept = device.table.keep
         if device.is_defined_by(access.address, access.length):
-            accept = partial(self._registry.read_special, device)
+            accept = partial(self._registry.accept_defining_read, device)
         return Slot(device, Due.READ, (access.address, access.length), access.length, accept)
 
     def _begin_of(self, request: Request) -> Begin | None:

@@ -96,7 +96,7 @@ class FastReply:
             f'{(6 if n == 0 else 4) + access.length}s'
             for n, access in enumerate(accesses[:-1])))
 
-    def read(self, body: bytes) -> tuple[Any, ...]:
+    def unpack(self, body: bytes) -> tuple[Any, ...]:
         """
         Return error byte, ID, data and CRC of all parts in a row; () unless each part holds.
 
@@ -145,7 +145,7 @@ class Plan:
         slot = self.slots.get(device.number)
         return slot is not None and slot.size == size
 
-    def failed(self, there: int, last_whole: int,
+    def damaged_parts(self, there: int, last_whole: int,
                silent: dict[int, Slot]) -> tuple[list[Slot], list[int]]:
         """
         Return the IDs with a damaged part in a fast reply, and those where that is not known.
@@ -159,7 +159,7 @@ class Plan:
         sure = [number for number in bad if ids.index(number) < known or number == bad[0]]
         return [silent[number] for number in sure], [one for one in bad if one not in sure]
 
-    def served(self, due: list[Slot], damaged_ids: set[int]) -> tuple[int, int]:
+    def find_blocker(self, due: list[Slot], damaged_ids: set[int]) -> tuple[int, int]:
         """
         Return how many of the due had their turn, and the ID that the others wait for.
 
@@ -191,6 +191,6 @@ class Plan:
         return not self.request.malformed and UNKNOWN_INSTRUCTION not in self.oddities
 
     @property
-    def size(self) -> int:
+    def slots_size(self) -> int:
         """How much memory it takes, in slots; a plan by itself is as large as eight."""
         return 8 + len(self.slots) + len(self.request.accesses)

@@ -5,8 +5,9 @@
 from servobus.bus import evidence as ev
 from servobus.bus.evidence import Evidence
 
-SOON_NS = 1_000_000_000            # after the opening: a board that it restarts is silent for more
-SHORT_NS = 1_500_000_000           # a session that may be over before such a board is ready
+# A board that the opening restarts is silent for longer than the first, and until the second.
+BOARD_START_MIN_NS = 1_000_000_000
+BOARD_START_MAX_NS = 1_500_000_000
 QUESTION_MAX_BYTES = 20            # in a session: it asked once
 
 
@@ -30,9 +31,9 @@ class PortSessions:
         if not size or not opened:
             return
         if answered < opened:
-            if stamp - opened < SHORT_NS:
+            if stamp - opened < BOARD_START_MAX_NS:
                 self._evidence.add_incident(stamp, ev.SESSION_UNANSWERED, ev.NO_DEVICE)
-        elif size <= QUESTION_MAX_BYTES and asked - opened >= SOON_NS:
+        elif size <= QUESTION_MAX_BYTES and asked - opened >= BOARD_START_MIN_NS:
             self._evidence.add_incident(stamp, ev.SESSION_ANSWERED_LATE, ev.NO_DEVICE)
         else:
             self._evidence.counts[ev.SESSION_ANSWERED] += 1

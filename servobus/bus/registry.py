@@ -30,7 +30,7 @@ from servobus.bus.expected import MAX_ID
 from servobus.bus.plan import Effect
 from servobus.bus.report import IdWrite
 from servobus.bus.report import NEW_ID
-from servobus.bus.table import IDENTITY
+from servobus.bus.table import IDENTITY_REGISTERS
 from servobus.bus.table import NO_SPAN
 from servobus.bus.table import READ
 from servobus.bus.table import Span
@@ -41,16 +41,16 @@ from servobus.model.layers import model_key
 from servobus.model.models import Models
 
 NO_ID = 255
-MOVED_ANSWERS = 3                  # under an ID that it lost: there is another one
-ABSENCE_MS = 50                    # missed for so long: it was away, which is worth a note
+OLD_ID_ANSWERS_NEEDED = 3          # under an ID that it lost: there is another one
+ABSENCE_MIN_MS = 50                # missed for so long: it was away, which is worth a note
 FACTORY_ID = 1
-FACTORY_BAUD, FACTORY_BAUD_1 = 57_600, 1_000_000      # Protocol 2.0, the 1.0 family
-MIDDLE = 128                       # as Torque Enable of Feetech: this position is the middle
+FACTORY_BAUD, FACTORY_BAUD_1 = 57_600, 1_000_000  # Protocol 2.0, the 1.0 family
+CALIBRATION_CODE = 128             # as Torque Enable of Feetech: this position is the middle
 _RESET_KEEPS: dict[str, tuple[str, ...]] = {
     'all': (), 'all except ID': ('ID',), 'all except ID and Baud Rate': ('ID', 'Baud Rate'),
     '': ('ID', 'Baud Rate'),
 }
-_CALIBRATED = (PLACE, OFFSET)
+_CALIBRATED_REGISTERS = (PLACE, OFFSET)
 _LOCK = (55, 1)                    # the use of Lock of Feetech, where registers are not known
 # Where a device of unknown model has its ID, by its protocol; the Baud Rate comes after it.
 _ID_AT = {'2': (7,), '1': (3,), 'feetech': (5,), '1 or feetech': (3, 5)}
@@ -110,13 +110,13 @@ class DeviceRegistry:
         field = device.model.by_address.get(address) if device is not None else None
         if device is None or field is None:
             return str(address)
-        return device.table.in_force(field, device.model).name
+        return device.table.resolve_cases(field, device.model).name
 
     def accept_status(self, device: Device, error: int, stamp: int) -> None:
         """Take any status as a sign of life; error is its error byte, alert bit included."""
         if device.missed_in_a_row:
             silence_ms = (stamp - device.heard) // 1_000_000
-            if device.heard and silence_ms >= ABSENCE_MS:
+            if device.heard and silence_ms >= ABSENCE_MIN_MS:
                 self._evidence.add_incident(stamp, ev.RETURNED, device.number, silence_ms,
                                             self._raw(device, TORQUE, -1), device.missed_in_a_row)
             device.missed_in_a_row = 0
@@ -128,7 +128,8 @@ class DeviceRegistry:
         device.alert = alert
         device.heard = stamp
         device.waiting_behind = None
-        if device.counts.answers >= MOVED_ANSWERS or not device.moved_to.startswith(NEW_ID):
+        if device.counts.answers >= OLD_ID_ANSWERS_NEEDED \
+                or not device.moved_to.startswith(NEW_ID):
             device.moved_to = ''           # else what it said before the write was read late
         device.is_unusual = error != 0        # the next good answer clears its last error
 
@@ -140,7 +141,7 @@ class DeviceRegistry:
         elif not is_doubtful:
             device.accept_pong(NO_SPAN, data, stamp, READ)
 
-    def read_special(self, device: Device, span: Span, data: bytes, stamp: int,
+    def accept_defining_read(self, device: Device, span: Span, data: bytes, stamp: int,
                      source: int) -> None:
         """Keep what a device said of itself, where that may change what it is or does."""
         address = span[0]
@@ -192,7 +193,7 @@ class DeviceRegistry:
             firmware = data[field.at - address:field.end - address]
         device.identify(number + firmware, stamp)
 
-    def is_impossible(self, number: int) -> bool:
+    def is_impossible_id(self, number: int) -> bool:
         """Tell whether no device can have this ID, and it is not everybody's either."""
         return number > self.highest and number != BROADCAST
 
@@ -227,8 +228,8 @@ class DeviceRegistry:
         """Forget what a Calibrate of Feetech changes."""
         self._evidence.add_incident(stamp, ev.CALIBRATED, device.number)
         self.resolve(device)
-        device.table.forget('all', device.model, [
-            field.name for field in device.model.fields if field.name not in _CALIBRATED])
+        device.table.forget('all', device.model,
+                            device.model.by_name.keys() - _CALIBRATED_REGISTERS)
 
     def write(self, device: Device, address: int, data: bytes, stamp: int,
               alone: bool = True) -> None:
@@ -287,7 +288,7 @@ class DeviceRegistry:
     def factory_reset(self, device: Device, option: str, stamp: int) -> None:
         """Forget what a Factory Reset changes; with 'all' the ID becomes 1."""
         self.reboot(device, stamp)
-        device.table.forget('all', device.model, (*IDENTITY, *_RESET_KEEPS[option]))
+        device.table.forget('all', device.model, (*IDENTITY_REGISTERS, *_RESET_KEEPS[option]))
         if 'Baud Rate' not in _RESET_KEEPS[option]:
             baud = FACTORY_BAUD if device.dialect is None else FACTORY_BAUD_1
             self._set_moved(device, baud, f'{baud} Bd')
@@ -298,14 +299,13 @@ class DeviceRegistry:
         """Forget the one register that a Clear changes."""
         gone = _CLEARS.get(option)
         self.resolve(device)
-        device.table.forget('all', device.model, [
-            field.name for field in device.model.fields if field.name != gone])
+        device.table.forget('all', device.model, device.model.by_name.keys() - {gone})
 
     def restore(self, device: Device, option: str, stamp: int) -> None:
         """Forget everything when a Control Table Backup is restored, nothing if it is stored."""
         if option == RESTORE:
             self.reboot(device, stamp)
-            device.table.forget('all', device.model, (*IDENTITY, 'ID', 'Baud Rate'))
+            device.table.forget('all', device.model, (*IDENTITY_REGISTERS, 'ID', 'Baud Rate'))
 
     def follow_write(self, device: Device, address: int, data: bytes, stamp: int,
                alone: bool = True) -> None:
@@ -363,7 +363,7 @@ class DeviceRegistry:
                                         self._raw(device, PLACE))
 
     def _follow_torque(self, device: Device, value: int, stamp: int) -> None:
-        if value == MIDDLE:
+        if value == CALIBRATION_CODE:
             self.calibrate(device, stamp)
 
     def set_baud(self, baud: int) -> None:

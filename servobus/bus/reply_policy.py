@@ -23,7 +23,7 @@ from servobus.bus.plan import STATUS_OVERHEAD
 from servobus.bus.registry import DeviceRegistry
 from servobus.bus.report import Wait
 
-ACKS_MISSING_MAX = 3  # writes without an answer, from a device that answers reads
+ACKS_MISSING_MAX = 3               # writes without an answer, from a device that answers reads
 
 
 class OpenQuestion(NamedTuple):
@@ -46,7 +46,7 @@ class ReplyPolicy:
     _registry: DeviceRegistry
     _evidence: Evidence
 
-    def is_due(self, slot: Slot) -> bool:
+    def judge_silence(self, slot: Slot) -> bool:
         """Return whether this status, which did not come, had to come."""
         device = slot.device
         if device.is_unresolved:
@@ -85,7 +85,7 @@ class ReplyPolicy:
         if us >= 0:
             self._evidence.add_wait(Wait(now, us, due[0].device.number, is_spoilt,
                                          plan.request.instruction))
-        served, behind = plan.served(due, damaged_ids)
+        served, behind = plan.find_blocker(due, damaged_ids)
         for slot in due[:served]:
             self.count_missed(plan, slot, now, stamp,
                               is_spoilt or slot.device.number in damaged_ids)

@@ -30,7 +30,7 @@ from servobus.bus.table import Observed
 from servobus.model.control_table import Model
 
 PROTOCOL_2 = 'Dynamixel 2.0'       # besides the names of the dialects of the 1.0 family
-FEW_BYTES = 64                     # without a packet: fewer do not show Protocol 1.0 or Feetech
+PROTOCOL_SHOWN_BYTES = 64          # fewer without a packet do not show the 1.0 family
 
 # State words of a device.
 CONNECTED = diagnostics.CONNECTED
@@ -54,8 +54,8 @@ RATE_REFUSED = 'rate refused'      # by an exception of the driver of its port, 
 
 
 # Who else uses its port: a program that it started, or itself where it opens the port twice.
-OWN = 'another part of this program'
-STOLE_REPLIES = f'{OWN}, which took its answers,'
+OTHER_PART = 'another part of this program'
+STOLE_REPLIES = f'{OTHER_PART}, which took its answers,'
 
 
 class Error(NamedTuple):

@@ -22,21 +22,21 @@ from servobus.model.control_table import Indirect
 from servobus.model.control_table import Model
 from servobus.model.control_table import Value
 
-READ = 1        # the device said so
-WRITTEN = 2     # the master wrote it and the device did not refuse
+READ = 1                           # the device said so
+WRITTEN = 2                        # the master wrote it and the device did not refuse
 SOURCES = {READ: 'r', WRITTEN: 'w'}
 # What lies beyond is not kept: the tables of nearly all devices end before the first of them, and
 # none that is known reaches 10600.
-USUAL_LIMIT = 0x800
+USUAL_ADDRESS_END = 0x800
 ADDRESS_END_MAX = 0x4000
-SPAN_LIMIT = 64         # spans waiting to be put in place; a master uses a handful
-LAST_STAMP = (1 << 63) - 1      # ns: 292 years
-WAITING_SPAN_MAX_BYTES = 256              # bytes of a span that does not wait
+SPAN_LIMIT = 64                    # spans waiting to be put in place; a master uses a handful
+STAMP_MAX_NS = (1 << 63) - 1       # ns: 292 years
+WAITING_SPAN_MAX_BYTES = 256       # bytes of a span that does not wait
 Data = bytes            # the built-in: Table.bytes hides its name
 Span = tuple[int, int]  # address and size
 SpanListener = Callable[[Span, Data, int, int], object]
-NO_SPAN = (-1, 0)       # for an answer without registers
-IDENTITY = ('Model Number', 'Model Information', 'Firmware Version')
+NO_SPAN = (-1, 0)                  # for an answer without registers
+IDENTITY_REGISTERS = ('Model Number', 'Model Information', 'Firmware Version')
 
 
 class Observed(NamedTuple):
@@ -82,11 +82,21 @@ class Image:
             return
         self.grow(end)
         self.data[address:end] = data
-        self.stamps[address:end] = array('q', (min(max(stamp, 0), LAST_STAMP),)) * len(data)
+        self.stamps[address:end] = array('q', (min(max(stamp, 0), STAMP_MAX_NS),)) * len(data)
         self.sources[address:end] = bytes((source,)) * len(data)
 
     def knows(self, at: int, end: int) -> bool:
         return end <= len(self.data) and 0 not in self.sources[at:end]
+
+    def resolve_cases(self, field: Field, model: Model) -> Field:
+        """Return the field with the meaning that another register gives; while unknown: as is."""
+        if field.cases is None:
+            return field
+        other = model.by_name[field.cases.by]
+        if not self.knows(other.at, other.end):
+            return field
+        code = other.code_of(bytes(self.data[other.at:other.end])) & field.cases.mask
+        return field.cases.fields.get(code, field)
 
     def observed(self, field: Field, now_ns: int) -> Observed:
         at, end = field.at, field.end
@@ -111,7 +121,7 @@ class Table:
     """The memory image of one device, up to the address `limit`."""
 
     def __init__(self) -> None:
-        self.limit = USUAL_LIMIT
+        self.limit = USUAL_ADDRESS_END
         self._latest: dict[Span, tuple[Data, int, int]] = {}
         self._image = Image()
 
@@ -129,7 +139,7 @@ class Table:
             self._settle()
 
     def set_listener(self, listener: SpanListener | None) -> None:
-        """Hand each span that comes from now on to `take`, too, as keep() gets it."""
+        """Hand each span that comes from now on to the listener, too, as keep() gets it."""
         self._latest = dict(self._latest) if listener is None \
             else _ListenedSpans(self._latest, listener)
 
@@ -164,12 +174,12 @@ class Table:
         sources = image.sources
         reach = len(sources)
         # The first byte alone rules out most fields of a table of which a part was seen.
-        return [image.observed(_in_force(field, model, image), now_ns) for field in model.fields
+        return [image.observed(image.resolve_cases(field, model), now_ns) for field in model.fields
                 if field.end <= reach and sources[field.at] and image.knows(field.at, field.end)]
 
-    def in_force(self, field: Field, model: Model) -> Field:
+    def resolve_cases(self, field: Field, model: Model) -> Field:
         """Return the field with the meaning that another register gives it at present."""
-        return _in_force(field, model, self._settle())
+        return self._settle().resolve_cases(field, model)
 
     def indirect_places(self, field: Field, model: Model) -> list[int]:
         """Return at which addresses of indirect data a whole field is at present."""
@@ -186,7 +196,7 @@ class Table:
         """Do as observed(), for these fields; None for what is not known or not there."""
         image = self._resolved(model)
         found = [model.by_name.get(name) for name in names]
-        return [image.observed(_in_force(field, model, image), now_ns)
+        return [image.observed(image.resolve_cases(field, model), now_ns)
                 if field is not None and image.knows(field.at, field.end) else None
                 for field in found]
 
@@ -197,7 +207,7 @@ class Table:
             self._image = Image()
 
     def forget(self, memory: Literal['ram', 'all'], model: Model,
-               keep: Iterable[str] = IDENTITY) -> None:
+               keep: Iterable[str] = IDENTITY_REGISTERS) -> None:
         """
         Forget what a Reboot ('ram') or a Factory Reset ('all') has changed.
 
@@ -223,22 +233,11 @@ class Table:
 
 
 @lru_cache(maxsize=256)
-def size_of(model: Model) -> int:
+def kept_end(model: Model) -> int:
     """Return up to which address bytes of this model are kept."""
     ends = [field.end for field in model.fields[-1:]]
     ends += [one.data + one.size for one in model.indirect]
-    return min(max(USUAL_LIMIT, *ends), ADDRESS_END_MAX) if ends else USUAL_LIMIT
-
-
-def _in_force(field: Field, model: Model, image: Image) -> Field:
-    """Pick the meaning that another register gives; as long as that is unknown: the raw one."""
-    if field.cases is None:
-        return field
-    other = model.by_name[field.cases.by]
-    if not image.knows(other.at, other.end):
-        return field
-    code = other.code_of(bytes(image.data[other.at:other.end])) & field.cases.mask
-    return field.cases.fields.get(code, field)
+    return min(max(USUAL_ADDRESS_END, *ends), ADDRESS_END_MAX) if ends else USUAL_ADDRESS_END
 
 
 def _resolve(image: Image, indirect: Indirect, resolved: Image) -> None:

@@ -122,12 +122,12 @@ class Tracker:
         """Note that the pending instruction did not get to the bus, or not all of it."""
         if self.pending is not NO_PLAN:
             self._add_incident(stamp, ev.NOT_SENT, self._last[1], self._last[2])
-        self._forget()
+        self._forget_pending()
 
     def lose_port(self, stamp: int, error: int) -> None:
         """Note that the program's port went away: what is pending says nothing of the bus."""
         self._add_incident(stamp, ev.PORT_LOST, ev.NO_DEVICE, error)
-        self._forget()
+        self._forget_pending()
 
     def lose_track(self, stamp: int, lost: int) -> None:
         """Judge nothing that is pending: `lost` events were not heard, or the port was closed."""
@@ -136,7 +136,7 @@ class Tracker:
         self.slots.pop(BROADCAST, None)
         self.unread.close(None if lost or self.pending is NO_PLAN
                           else self._open_question([*self.slots.values()]), stamp)
-        self._forget()
+        self._forget_pending()
         self._state = DOUBTFUL
 
     def accept_purge(self, stamp: int) -> None:
@@ -148,7 +148,7 @@ class Tracker:
         return OpenQuestion(self.pending, due, self._damaged_ids, self._state >= pairing.SPOILT,
                             self._asked[2], self._deferred)
 
-    def _forget(self) -> None:
+    def _forget_pending(self) -> None:
         self.pending, self.slots = NO_PLAN, {}
         self._given_up = _NO_SLOTS
         self._deferred = None
@@ -156,7 +156,7 @@ class Tracker:
     def stop_waiting(self, stamp: int) -> None:
         """Give up waiting: the line is idle for longer than any answer takes."""
         if self.slots or self._deferred is not None:
-            self._close(_NOTHING, 0, 0, stamp)
+            self._close_question(_NOTHING, 0, 0, stamp)
         self.pending, self.slots = NO_PLAN, {}
 
     @property
@@ -167,7 +167,7 @@ class Tracker:
     def _process_instruction(self, raw: RawInstruction, flaw: Flaw | None, begin: int, end: int,
                              received: int, stamp: int) -> dict[int, Slot]:
         if self.slots or self._deferred is not None:
-            self._close(raw, begin, received, stamp)
+            self._close_question(raw, begin, received, stamp)
         else:
             self._given_up = _NO_SLOTS
         if self._damaged_ids:
@@ -180,7 +180,7 @@ class Tracker:
         self._last = raw
         plan.asked += 1
         plan.stamps.append(stamp)
-        if (start := plan.begin) is not None:  # nothing waits: _close() has ended that
+        if (start := plan.begin) is not None:  # nothing waits: _close_question() has ended that
             if flaw is not None and flaw.unstuffed and plan.request.accesses:
                 self._add_incident(stamp, ev.UNSTUFFED, raw[1], raw[2])
             self._deferred = start(raw[3], stamp)
@@ -207,7 +207,7 @@ class Tracker:
         """Accept a fast reply of which every part holds; leave any other as it is."""
         reply = self.pending.fast_reply
         if reply is None or len(self.slots) != len(reply.slots) \
-                or not (fields := reply.read(fast_wire(error, data))):
+                or not (fields := reply.unpack(fast_wire(error, data))):
             return False
         for slot, error, data in zip(reply.slots, fields[::4], fields[2::4], strict=True):
             device = slot.device
@@ -235,7 +235,7 @@ class Tracker:
         for block in blocks:
             if (slot := self.slots.pop(block.id, None)) is not None:
                 self._accept_answer(slot, 0, block.data, stamp)
-        for slot in filter(self._policy.is_due, self.slots.values()):
+        for slot in filter(self._policy.judge_silence, self.slots.values()):
             self._policy.count_missed(self.pending, slot, stamp, stamp, self.is_doubtful)
         self.slots.clear()
 
@@ -258,7 +258,7 @@ class Tracker:
         elif self.planner.has_answer(device.number, len(data)):
             if not is_again:
                 self.slots[device.number] = slot       # a late one: its own may still come
-            self._add_extra(device.number, is_again, stamp)
+            self._add_extra_answer(device.number, is_again, stamp)
         else:
             self._add_incident(stamp, ev.WRONG_SIZE, device.number, len(data), slot.size)
 
@@ -278,7 +278,7 @@ class Tracker:
                 slot.device.counts.fast_answers += 1
                 self._accept_answer(slot, block.error, block.data, stamp)
         if len(blocks) < there:
-            damaged, unknown = self.pending.failed(there, blocks[-1].id if blocks else -1,
+            damaged, unknown = self.pending.damaged_parts(there, blocks[-1].id if blocks else -1,
                                                  self.slots)
             for slot in damaged:
                 slot.device.count_damaged(self._damaged_ids, 1)
@@ -317,16 +317,16 @@ class Tracker:
             self._evidence.counts[ev.UNKNOWN_ANSWERED] += 1    # it may have asked for this
         elif (device.owed and device.accept_late_reply(stamp, self.unread.late_reply_ns)) \
                 or (number in self._given_up and number not in plan.slots):
-            self._add_extra(number, False, stamp)
+            self._add_extra_answer(number, False, stamp)
             if not data and device.dialect is None and not error & ~ALERT:
                 device.accept_ack()          # Pings and reads are answered with data
         elif number in plan.slots or is_again:
-            self._add_extra(number, True, stamp)
+            self._add_extra_answer(number, True, stamp)
         else:
             self.unread.note_old_answer(number, stamp)
             self._add_incident(stamp, ev.UNASKED, number)
 
-    def _add_extra(self, number: int, is_second: bool, stamp: int) -> None:
+    def _add_extra_answer(self, number: int, is_second: bool, stamp: int) -> None:
         """Note an answer more than is due: a second one, or a late one."""
         if is_second:
             plan = self.pending if number in self.pending.slots else self._before
@@ -392,11 +392,12 @@ class Tracker:
             waited_for.device.count_damaged(self._damaged_ids)
         return damage
 
-    def _close(self, following: RawInstruction, began: int, received: int, stamp: int) -> None:
+    def _close_question(self, following: RawInstruction, began: int, received: int,
+                        stamp: int) -> None:
         """End the pending instruction; following: the next one, which began there."""
         slots = self._given_up = self.slots
         slots.pop(BROADCAST, None)
-        due = [*filter(self._policy.is_due, slots.values())]
+        due = [*filter(self._policy.judge_silence, slots.values())]
         if due:
             self._end_question(self._open_question(due), following,
                                int(stamp - (received - began) * self._registry.byte_ns), stamp)

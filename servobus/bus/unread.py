@@ -57,11 +57,11 @@ from servobus.bus.table import READ
 
 UNREAD_REPLY_NS = 10_000_000_000   # for so long an answer may wait unread
 ADAPTER_DELAY_NS = 17_000_000      # a latency timer of 16 ms, and Return Delay Time
-ADAPTER_SPARE_NS, ADAPTER_SLOWDOWN = 5_000_000, 2      # an adapter gets slower by no more
+ADAPTER_SPARE_NS, ADAPTER_SLOWDOWN = 5_000_000, 2  # an adapter gets slower by no more
 NO_WAIT_NS = 500_000               # who looks no longer than that did not wait for an answer
-READ_SIZE = 14                     # bytes of a Read of Protocol 2.0
+READ_PACKET_BYTES = 14             # bytes of a Read of Protocol 2.0
 AT_ONCE_NS = 500_000               # after a read: the next question follows from it
-HUNG_WAIT_NS = 2_000_000_000            # a program that waits longer has no time-out
+HUNG_WAIT_NS = 2_000_000_000       # a program that waits longer has no time-out
 ACKS_READ_MIN = 10                 # answers to one write: it does not go on without them
 QUESTIONS_KEPT = 16
 OWN_ANSWERS_MIN = 3                # what waits then is not of an earlier program
@@ -159,11 +159,11 @@ class UnreadAnswers:
         all that it asked one device for, as many bytes again are from a second one with that ID.
         """
         waiting, awaited = self.waiting, [*slots.values()]
-        if waiting > _size_of(awaited):
+        if waiting > _status_bytes(awaited):
             awaited = [slot for state in (DEFERRED, UNCERTAIN) for question in
                        self._questions[state] for slot in question.due
                        if stamp - question.asked < LATE_REPLY_NS] + awaited
-        is_all = bool(slots) and self.vain_read_ns <= asked and waiting == _size_of(awaited)
+        is_all = bool(slots) and self.vain_read_ns <= asked and waiting == _status_bytes(awaited)
         if is_all:
             if self._reported_at == received:
                 self._evidence.add_incident(stamp, ev.THROWN_AWAY, plan.request.id,
@@ -206,7 +206,7 @@ class UnreadAnswers:
     def end_question(self, question: OpenQuestion, now: int) -> bool:
         """Accept a question with answers that are due; return whether these are missed."""
         if self._old_answers:
-            self._note_taken(question, now)
+            self._note_mistaken_answer(question, now)
         if self._unsent_ns == question.asked:
             self._note_unsent(question, now)
             event = NOT_SENT
@@ -233,9 +233,10 @@ class UnreadAnswers:
         """Note that the answer to an earlier question is read."""
         self._old_answers.append((number, stamp))
 
-    def _note_taken(self, question: OpenQuestion, now: int) -> None:
+    def _note_mistaken_answer(self, question: OpenQuestion, now: int) -> None:
         """Note that the program asks on after it has read one answer, that of another device."""
-        written = question.asked - self._registry.byte_ns * READ_SIZE     # it may read on at once
+        # It may read on at once.
+        written = question.asked - self._registry.byte_ns * READ_PACKET_BYTES
         read = [one for one in self._old_answers if one[1] > written]
         self._old_answers.clear()
         asked = question.due[0].device.number
@@ -312,8 +313,9 @@ class UnreadAnswers:
         for frame in frames:
             begin, _, kind, number, code, data, flaw = frame
             is_old = begin < self.old_until
-            if kind or not (is_old or self.deferred) or self._registry.is_impossible(number) or (
-                    self.discarded and flaw is not None and flaw.reason == 'cut'):
+            if kind or not (is_old or self.deferred) \
+                    or self._registry.is_impossible_id(number) \
+                    or (self.discarded and flaw is not None and flaw.reason == 'cut'):
                 rest.append(frame)
             elif flaw is not None and flaw.reason:
                 self._evidence.add_damage(stamp, frame, flaw, IN)
@@ -431,7 +433,7 @@ class UnreadAnswers:
         if is_passed:
             now = max(now, question.asked + 1)
         has_waited = failed and (question.is_spoilt or self._has_waited(question))
-        due = [slot for slot in question.due if self._policy.is_due(slot)
+        due = [slot for slot in question.due if self._policy.judge_silence(slot)
                or (has_waited and slot.device.acks is None)]
         us = (now - question.asked) // 1000
         if not due or now < question.asked:
@@ -458,6 +460,6 @@ class UnreadAnswers:
             (one.maximum for one in known if one is not None), default=ADAPTER_DELAY_NS))
 
 
-def _size_of(slots: Iterable[Slot]) -> int:
+def _status_bytes(slots: Iterable[Slot]) -> int:
     """Return how many bytes these answers have on the wire."""
     return sum(slot.status_size for slot in slots)

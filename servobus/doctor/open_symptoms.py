@@ -86,7 +86,7 @@ def _symptoms(report: BusReport) -> Iterator[_Symptom]:
     noise = counters.get('Noise Bytes', 0)
     damaged = sum(report.kinds.get(kind, 0) for kind in DAMAGE_KINDS)
     unknown = report.kinds.get(ev.UNKNOWN_INSTRUCTION, 0)
-    if 0 < counters['Bytes'] < words.FEW_BYTES and not counters['Packets']:
+    if 0 < counters['Bytes'] < words.PROTOCOL_SHOWN_BYTES and not counters['Packets']:
         yield _Symptom({'no packets'}, f'{counters["Bytes"]} bytes, but no packet',
                        'too few to know Protocol 1.0 or Feetech by, or no servo bus',
                        'add --protocol 1 or --protocol feetech: if that shows packets, it is that')

@@ -25,13 +25,13 @@ from servobus.errors import ServobusError
 from servobus.plain import printable
 
 BUILT_IN = Path(__file__).with_name('files')
-VALUE_NUMBER_MAX = 0xFFFF    # in values: {NUMBER: NAME}
-INTEGER_BITS = 64            # the widest register has so many
-FILE_LIMIT = 500_000         # bytes; our longest file has 11 000
-NODES_LIMIT = 60_000         # values, what aliases stand for counted each time; ours have 800
-DEPTH_LIMIT = 50             # libyaml calls itself for each level: too many kill the process
-MESSAGE_PART_MAX_CHARS = 1000                  # characters of a part of a message, at most
-NUMBER_END = 1e100           # beyond every register, and not infinite as a float
+KEY_NUMBER_MAX = 0xFFFF            # in values: {NUMBER: NAME}
+INTEGER_BITS = 64                  # the widest register has so many
+FILE_MAX_BYTES = 500_000           # bytes; our longest file has 11 000
+VALUES_MAX = 60_000                # what aliases stand for is counted each time; ours have 800
+LEVELS_MAX = 50                    # libyaml calls itself for each level: too many kill the process
+MESSAGE_PART_MAX_CHARS = 1000      # characters of a part of a message, at most
+NUMBER_END = 1e100                 # beyond every register, and not infinite as a float
 Raw = dict[str, Any]               # what a file says of one thing, by key
 
 
@@ -98,8 +98,8 @@ def read_file(path: Path) -> bytes:
         about = os.stat(path)
         if not stat.S_ISREG(about.st_mode):        # a pipe would keep us waiting
             raise OSError(errno.EINVAL, 'not a file')
-        if about.st_size > FILE_LIMIT:
-            raise OSError(errno.EFBIG, f'longer than {FILE_LIMIT} bytes')
+        if about.st_size > FILE_MAX_BYTES:
+            raise OSError(errno.EFBIG, f'longer than {FILE_MAX_BYTES} bytes')
         with open(path, 'rb') as file:
             return file.read()
     except OSError as error:
@@ -127,10 +127,10 @@ def _check_weight(text: bytes) -> None:
         elif isinstance(event, yaml.ScalarEvent):
             values += 1
             weights[event.anchor or ''] = 1
-        if len(within) > DEPTH_LIMIT:
-            raise _refusal(f'more than {DEPTH_LIMIT} levels', event.start_mark)
-        if values > NODES_LIMIT:
-            raise _refusal(f'more than {NODES_LIMIT} values', event.start_mark)
+        if len(within) > LEVELS_MAX:
+            raise _refusal(f'more than {LEVELS_MAX} levels', event.start_mark)
+        if values > VALUES_MAX:
+            raise _refusal(f'more than {VALUES_MAX} values', event.start_mark)
 
 
 class Check(NamedTuple):
@@ -182,7 +182,7 @@ class Check(NamedTuple):
     def names(self, raw: Any, key: str) -> dict[int, str]:
         if not isinstance(raw, dict):
             raise self._refused(key, raw, f'write {key}: {{NUMBER: NAME}}')
-        return {self.integer(number, f'number in {key}', 0, VALUE_NUMBER_MAX):
+        return {self.integer(number, f'number in {key}', 0, KEY_NUMBER_MAX):
                 self.text(name, f'name of {number}') for number, name in raw.items()}
 
 

@@ -41,7 +41,7 @@ CASE_KEYS = {'unit', 'scale', 'offset', 'sign_bit', 'enum', 'flags'}
 GROUP_KEYS = {'repeat', 'step', 'prefix', 'shift', 'fields', 'include'}
 ADDRESS_END = 0x10000
 REPEAT_LIMIT = 4096
-FIELDS_LIMIT = ADDRESS_END           # made for one file, those in between counted too
+FIELDS_LIMIT = ADDRESS_END         # made for one file, those in between counted too
 
 
 class TooManyError(ModelError):
@@ -169,9 +169,9 @@ def _meaning(raw: Raw, check: Check, words: Mapping[str, Any],
     if 'unit' in raw:
         more['unit'] = check.text(raw['unit'], 'unit')
     if 'enum' in raw:
-        more['enum'], more['spans'] = _enum(_shared(raw['enum'], words, check), check)
+        more['enum'], more['spans'] = _enum(_words_of(raw['enum'], words, check), check)
     if 'flags' in raw:
-        more['flags'] = _flags(_shared(raw['flags'], words, check), check, bits)
+        more['flags'] = _flags(_words_of(raw['flags'], words, check), check, bits)
     if 'scale' in raw or 'offset' in raw:
         more['scale'] = check.number(raw.get('scale', 1.0), 'scale')
         more['offset'] = check.number(raw.get('offset', 0.0), 'offset')
@@ -193,7 +193,7 @@ def _check_meaning(more: Raw, check: Check, type_: str) -> None:
         raise check.error(f'{" and ".join(sorted(given))} together', 'keep one')
 
 
-def _shared(raw: Any, words: Mapping[str, Any], check: Check) -> dict[Any, Any]:
+def _words_of(raw: Any, words: Mapping[str, Any], check: Check) -> dict[Any, Any]:
     """`enum: NAME` and `flags: NAME` take their words from the file's `words`."""
     if isinstance(raw, str):
         if raw not in words:

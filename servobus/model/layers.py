@@ -40,14 +40,14 @@ FILE_KEYS = {'model_numbers', 'source', 'include', 'without', 'fields', 'words',
              'aliases', 'blocks', 'each', 'firmware', 'torque_constants', 'protocol', 'byte_order'}
 EACH_KEYS = {'without', 'fields', 'indirect', 'aliases'}
 VARIANT_KEYS = EACH_KEYS | {'up_to'}
-INCLUDE_LIMIT = 20                  # files in files
+INCLUDE_LIMIT = 20                 # files in files
 NUMBER_MASK = 0xFFFF
-_FEETECH = 0x10000                  # Feetech numbers its models apart: 261 is taken twice
+_FEETECH_KEY_BIT = 0x10000         # Feetech numbers its models apart: 261 is taken twice
 
 
 def model_key(number: int, protocol: str = '2') -> int:
     """Return the key of a model among those of all makers: its number, and for Feetech more."""
-    return number | _FEETECH if protocol == 'feetech' else number
+    return number | _FEETECH_KEY_BIT if protocol == 'feetech' else number
 
 
 class Definition(NamedTuple):
@@ -100,7 +100,7 @@ class Layers:
                  report: Callable[[ModelError], None] = raise_error) -> None:
         self._folders = (folder, beneath)
         self._report = report
-        self.definition = cache(_outline)      # it reads each file once
+        self.definition = cache(_read_definition)      # it reads each file once
         self._budgets: defaultdict[Path, FieldBudget] = defaultdict(FieldBudget)
         self._layers: dict[Path, Layer] = {}
         self._whole: dict[tuple[Path, int | None, int | None], Layer] = {}
@@ -233,7 +233,7 @@ class Layers:
                              'correct aliases')
 
 
-def _outline(path: Path) -> Definition:
+def _read_definition(path: Path) -> Definition:
     """Return what a file says, without its fields; raises ModelError."""
     raw = read_robotis(path) if path.suffix == SUFFIX else read_yaml(path)
     check = Check(path, '')

@@ -27,9 +27,9 @@ from servobus.model.robotis_file import SUFFIX
 
 Use = tuple[int, int]              # address and size of what a program reads or writes
 
-REGISTERS_NEEDED = 3  # different registers, Torque Enable or a goal among them; or both positions
-USE_MAX_BYTES = 24                       # bytes: a longer read takes all there is, gaps too
-NOWHERE = (-1, 1)                  # a use that no table has
+REGISTERS_NEEDED = 3               # with Torque Enable or a goal among them; or both positions
+USE_MAX_BYTES = 24                 # bytes: a longer read takes all there is, gaps too
+IMPOSSIBLE_USE = (-1, 1)           # a use that no table has
 # Uses only of numbers that make sense in this order of bytes: of positions, and of goals, which
 # a program may send wrongly.
 LITTLE, BIG = (-2, 1), (-2, 2)
@@ -50,10 +50,10 @@ _BASIC = ('ID', 'Baud Rate', 'Lock')
 _WHERE_USED = ('Min Position Limit', 'Max Position Limit', 'CW Angle Limit', 'CCW Angle Limit',
                'Operating Mode', 'Torque Limit')
 POSITIONS = ('Goal Position', 'Present Position')      # signed in some tables
-PLACE_AT, SPEED_AT, GOAL_AT = 56, 58, 42      # positions and velocity of Feetech
+POSITION_AT, SPEED_AT, GOAL_AT = 56, 58, 42  # positions and velocity of Feetech
 # What a register can hold, in its unit. Of positions: by size, in rad and in steps.
-_RANGES = {'Torque Enable': 1, 'Present Temperature': 120, 'Present Input Voltage': 400}
-_FARTHEST = {2: (2 * pi, 4095), 4: (512 * pi, 1 << 22)}
+_LARGEST_VALUES = {'Torque Enable': 1, 'Present Temperature': 120, 'Present Input Voltage': 400}
+_FARTHEST_POSITIONS = {2: (2 * pi, 4095), 4: (512 * pi, 1 << 22)}
 REFUSALS_NEEDED = 3
 _WRONG_TABLE = (5, 7)              # error numbers: data length, access
 
@@ -88,7 +88,7 @@ class ModelGuesses:
 def agreed_model(tables: Iterable[Model], used: Collection[Use]) -> Model:
     """Return the registers on which all tables agree that have what is used; or UNKNOWN."""
     order = _order_in(used)
-    uses = [(at, size) for at, size in used if at >= NOWHERE[0] and size]
+    uses = [(at, size) for at, size in used if at >= IMPOSSIBLE_USE[0] and size]
     fits = {table: registers for table in tables if (registers := _registers(table, uses))
             and order in ('', table.by_name['Goal Position'].byte_order)}
     if not fits:
@@ -239,5 +239,5 @@ def _cannot_be(field: Field, value: Value) -> bool:
         return value.text.startswith('unknown (')
     number = abs(value.number or 0)
     if field.name in POSITIONS:
-        return number > _FARTHEST.get(field.size, (0, 0))[not field.unit]
-    return number > _RANGES.get(field.name, number)
+        return number > _FARTHEST_POSITIONS.get(field.size, (0, 0))[not field.unit]
+    return number > _LARGEST_VALUES.get(field.name, number)

@@ -28,7 +28,7 @@ SUFFIX = '.model'
 NUMBERS_FILE = 'dynamixel.model'
 _OLDER = re.compile(r'(.+)_fw([0-9]{1,3})')
 _HEADINGS = ('address', 'data name', 'name', 'number')
-_SIZES = (1, 2, 4, 8)                # what is longer is a block: it has rows of its own
+_SIZES = (1, 2, 4, 8)              # what is longer is a block: it has rows of its own
 _RENAMED = {'Baud Rate (Bus)': 'Baud Rate', 'BUS Watchdog': 'Bus Watchdog',
             'Secondary(Shadow) ID': 'Secondary ID'}
 _INDIRECT = re.compile(r'Indirect[ _](Address|Data)([ _](\d+|Write|Read))?')

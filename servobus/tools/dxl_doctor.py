@@ -15,7 +15,7 @@ import time
 from typing import Any
 
 from servobus.bus.decoder import DEFAULTS
-from servobus.bus.decoder import PROTOCOLS
+from servobus.bus.decoder import PROTOCOL_CHOICES
 from servobus.doctor.finding_log import BusSummary
 from servobus.errors import ParameterError
 from servobus.errors import UsageError
@@ -274,7 +274,7 @@ def _show_saved(saved: SavedReport, models: Models, options: argparse.Namespace)
     """Show a report of somebody else, and what its capture says now."""
     if options.report:
         raise UsageError(f'--report: {options.source} is a report already; attach that')
-    protocol = saved.protocol if saved.protocol in PROTOCOLS else DEFAULTS.protocol
+    protocol = saved.protocol if saved.protocol in PROTOCOL_CHOICES else DEFAULTS.protocol
     examination = Examination(models, saved.devices, protocol)
     for chunk in saved.chunks:
         examination.feed_chunk(chunk, saved.wires.get(chunk.bus) or Wire(chunk.bus, DEFAULT_BAUD))

@@ -15,7 +15,7 @@ import shlex
 import shutil
 
 from servobus.bus.decoder import DEFAULTS
-from servobus.bus.decoder import PROTOCOLS
+from servobus.bus.decoder import PROTOCOL_CHOICES
 from servobus.errors import UsageError
 from servobus.model.models import Models
 from servobus.settings import check_devices
@@ -86,7 +86,7 @@ def add_bus_options(parser: argparse.ArgumentParser, runs: bool = True) -> None:
         add('--by', choices=WAYS, default='', help=BY)
     add('-b', '--baud', type=BAUD, help='baud rate of the bus, e.g. 57.6k or 1M (default: that of '
         'the source, else 2000000)')
-    add('--protocol', choices=PROTOCOLS, default=DEFAULTS.protocol,
+    add('--protocol', choices=PROTOCOL_CHOICES, default=DEFAULTS.protocol,
         help='protocol of the bus: auto, 2, 1 (Dynamixel) or feetech (default: auto, learned '
              'from the traffic)')
     add('--adapter', metavar='BUS.DEVICE', help='which adapter, if a pcap file holds several')

@@ -21,7 +21,7 @@ from servobus.bus import evidence as ev
 from servobus.bus import report as words
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import Incident
-from servobus.bus.table import IDENTITY
+from servobus.bus.table import IDENTITY_REGISTERS
 from servobus.bus.unread import HUNG_WAIT_NS
 from servobus.doctor.case import Case
 from servobus.doctor.case import is_waiting
@@ -479,7 +479,7 @@ def _talks_since(case: Case, back: Incident[ev.SilentFor]) -> bool:
 
 def _data_ages(device: DeviceReport) -> list[float]:
     return [one.age_s for one in device.observed
-            if one.source == 'r' and one.field.name not in IDENTITY]
+            if one.source == 'r' and one.field.name not in IDENTITY_REGISTERS]
 
 
 def _restart_proof(case: Case, back: Incident[ev.SilentFor]) -> str:

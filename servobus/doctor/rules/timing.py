@@ -294,7 +294,7 @@ def _is_after(writes: list[int], stamp: int) -> bool:
     return at > 0 and writes[at - 1] >= stamp - AFTER_WRITE_NS
 
 
-def _repeats_into_answers(case: Case) -> list[Incident[ev.Again]]:
+def _repeats_into_answers(case: Case) -> list[Incident[ev.Repetition]]:
     """
     Return the questions asked again while their answers were due, where they ran into them.
 

@@ -27,7 +27,7 @@ from msg_defs.event import CLOSED
 from msg_defs.event import GAVE_UP
 from msg_defs.event import IN
 from servobus.bus.report import FAILED
-from servobus.bus.report import OWN
+from servobus.bus.report import OTHER_PART
 from servobus.bus.report import RAISED
 from servobus.bus.report import RATE_REFUSED
 from servobus.bus.report import SERVO_LIBRARIES
@@ -164,7 +164,8 @@ class Openings:
             opened.add(0)                      # as if it were open twice
             self._overlaps[bus] += 1
             if record.value == HAS_DIED or self._overlaps[bus] >= OVERLAPS_MIN:
-                self.found[bus] = STOLE_REPLIES if record.value > 1 else self.found.get(bus, OWN)
+                self.found[bus] = STOLE_REPLIES if record.value > 1 \
+                    else self.found.get(bus, OTHER_PART)
         elif record.side == IN:                # another has asked since it did
             self.is_robbed |= is_other and record.opening in turns
         elif record.side and is_other:
@@ -172,7 +173,7 @@ class Openings:
         if is_shared and self.is_robbed:
             self.found[bus] = STOLE_REPLIES
         elif is_shared and len(turns) == TURNS_OF_TWO > len({*turns}):
-            self.found.setdefault(bus, OWN)
+            self.found.setdefault(bus, OTHER_PART)
 
 
 class Program(Source):

@@ -71,7 +71,7 @@ def _part(listing: Listing, access: Access, data: bytes | None, error: int = 0) 
     device = listing.device(access.id)
     model, table = (UNKNOWN, _NOTHING) if device is None else (device.model, device.table)
     layout = _layout(model, access, table)
-    fields = tuple(field if field.cases is None else table.in_force(field, model)
+    fields = tuple(field if field.cases is None else table.resolve_cases(field, model)
                    for field, _ in layout)
     values = () if data is None else tuple(
         field.decode(bytes([data[index] for index in indices]))

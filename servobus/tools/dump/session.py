@@ -19,7 +19,7 @@ import time
 
 from msg_defs.event import Chunk
 from servobus.bus.report import BusReport
-from servobus.bus.report import FEW_BYTES
+from servobus.bus.report import PROTOCOL_SHOWN_BYTES
 from servobus.doctor.case import OPTIONS
 from servobus.monitor import Monitor
 from servobus.plain import printable
@@ -233,8 +233,8 @@ class Session:
         if not self._bytes or any(report.counters['Packets'] for report in reports):
             return []
         question = 'check that it is a recording of a servo bus, made at its baud rate' \
-            if self._bytes >= FEW_BYTES else 'if it is of Protocol 1.0 or Feetech, add ' \
-            '--protocol 1 or --protocol feetech'
+            if self._bytes >= PROTOCOL_SHOWN_BYTES else 'if it is of Protocol 1.0 or Feetech, ' \
+            'add --protocol 1 or --protocol feetech'
         if self._source.is_live:
             question = (f'check that it is a servo bus at {reports[0].baud} baud; --baud sets '
                         'another rate') if reports[0].baud else 'check that it is a servo bus'
