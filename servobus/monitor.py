@@ -44,9 +44,9 @@ from servobus.joints import fresh
 from servobus.joints import Joints
 from servobus.model import control_table
 from servobus.model.layers import model_key
-from servobus.model.layout import IMPOSSIBLE_USE
-from servobus.model.layout import is_contradicted
-from servobus.model.layout import ModelGuesses
+from servobus.model.model_guesses import IMPOSSIBLE_USE
+from servobus.model.model_guesses import is_contradicted
+from servobus.model.model_guesses import ModelGuesses
 from servobus.model.models import Models
 from servobus.signals import BusSignals
 

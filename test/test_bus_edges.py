@@ -185,12 +185,14 @@ def test_who_says_the_same_of_himself_again_stays_who_he_is():
         one.plans_hold = True
     assert (device.counts.pongs, outdated, device.firmware) == (2, [True, False], 0x2e)
     device.table.store(132, bytes(4), S, READ)
+    one.register_write(device, 116, b'\1', S)
     device.accept_pong(NO_SPAN, b'\x24\x04\x2f', S, READ)                # new firmware
     one.resolve(device)
     assert (one.plans_hold, device.firmware, notes(one)) == (False, 0x2f, [])
     assert device.table.bytes(132, 1) == b'\0'
     device.accept_pong(NO_SPAN, b'\x37\x01\x2f', S, READ)                # another servo
-    one.resolve(device)
+    one.write_registered(device, S)                # it never heard the Reg Write
+    assert device.table.bytes(116, 1) is None
     assert device.model_number == 0x137
     assert (device.counts.model_changes, device.table.bytes(132, 1)) == (1, None)
     device.accept_pong(NO_SPAN, b'', S, READ)

@@ -15,7 +15,7 @@ from servobus.bus.table import READ
 from servobus.bus.table import Table
 from servobus.model.checked_yaml import ModelError
 from servobus.model.checked_yaml import read_yaml
-from servobus.model.file import FIELD_KEYS
+from servobus.model.field_entries import FIELD_KEYS
 from servobus.model.layers import FILE_KEYS
 from servobus.model.layers import model_key
 from servobus.model.models import BUILT_IN

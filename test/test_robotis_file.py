@@ -11,7 +11,7 @@ from servobus.bus.table import READ
 from servobus.bus.table import Table
 from servobus.model.checked_yaml import ModelError
 from servobus.model.layers import Layers
-from servobus.model.layout import ModelGuesses
+from servobus.model.model_guesses import ModelGuesses
 from servobus.model.models import BUILT_IN
 from servobus.model.models import check_models
 from servobus.model.models import Models

@@ -28,12 +28,12 @@ from servobus.bus.table import Table
 from servobus.model.control_table import Field
 from servobus.model.control_table import Model
 from servobus.model.control_table import UNKNOWN
-from servobus.model.layout import GOAL_AT
-from servobus.model.layout import order_of
-from servobus.model.layout import POSITION_AT
-from servobus.model.layout import SPEED_AT
-from servobus.model.layout import Use
-from servobus.model.layout import USE_MAX_BYTES
+from servobus.model.model_guesses import GOAL_AT
+from servobus.model.model_guesses import order_of
+from servobus.model.model_guesses import POSITION_AT
+from servobus.model.model_guesses import SPEED_AT
+from servobus.model.model_guesses import Use
+from servobus.model.model_guesses import USE_MAX_BYTES
 
 RESOLVED_MIN_SHARE = 0.2           # the share of answers that makes a latency worth a figure
 LATE_REPLY_NS = 100_000_000        # no servo takes as long: its Return Delay Time ends at 0.5 ms

@@ -14,6 +14,7 @@ from msg_defs.dxl1_instruction import Dialect
 from msg_defs.dxl1_instruction import DYNAMIXEL_1
 from msg_defs.dxl1_instruction import FEETECH
 from msg_defs.dxl1_instruction import UNDECIDED
+from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import Request
 from servobus.model.layers import model_key
 from servobus.model.models import Models
@@ -25,8 +26,7 @@ WEAK_VOTE = 1
 DYNAMIXEL_USES = {(24, 1), (25, 1), (30, 2), (30, 4), (32, 2), (36, 2), (36, 4), (36, 6), (36, 8)}
 FEETECH_USES = {(41, 7), (42, 2), (42, 6), (55, 1)}
 FEETECH_READS = range(56, 67)      # Present Position and more; no Dynamixel has a register there
-_READ = 0x02
-_LOCK_WRITE = 0x03, (55, 1)        # a write of Lock: no Dynamixel 1.0 has a register there
+_LOCK_WRITE = Instruction.WRITE, (55, 1)       # no Dynamixel 1.0 has a register there
 _BY_PROTOCOL = {'1': DYNAMIXEL_1, 'feetech': FEETECH}
 
 
@@ -47,21 +47,20 @@ class DialectChoice:
     def vote_by_instruction(self, request: Request) -> bool:
         """Take an instruction as a sign; return whether that decided."""
         code = request.instruction
-        where = (request.accesses[0].address, request.accesses[0].length) if request.accesses \
-            else None
+        where = request.accesses[0][1:3] if request.accesses else None
         if code in DYNAMIXEL_1.entries and code not in FEETECH.entries:
             return self._vote(DYNAMIXEL_1, STRONG_VOTE)
         if where in DYNAMIXEL_USES:          # a Sync Read too, which it has not
             return self._vote(DYNAMIXEL_1, WEAK_VOTE)
         if code in FEETECH.entries and code not in DYNAMIXEL_1.entries:
             return self._vote(FEETECH, STRONG_VOTE)
-        if where in FEETECH_USES or (where is not None and where[0] in FEETECH_READS):
+        if where in FEETECH_USES or request.address in FEETECH_READS:
             return self._vote(FEETECH, STRONG_VOTE if (code, where) == _LOCK_WRITE else WEAK_VOTE)
         return False
 
     def vote_by_model_number(self, request: Request, data: bytes) -> bool:
         """Take a model number that was read as a sign; return whether that decided."""
-        if request.instruction != _READ or not request.accesses:
+        if request.instruction != Instruction.READ or not request.accesses:
             return False
         access = request.accesses[0]
         for dialect, protocol in ((DYNAMIXEL_1, '1'), (FEETECH, 'feetech')):

@@ -74,7 +74,7 @@ class Planner:
             Instruction.WRITE: registry.write,
             Instruction.SYNC_WRITE: registry.write,
             Instruction.BULK_WRITE: registry.write,
-            Instruction.REG_WRITE: registry.register,
+            Instruction.REG_WRITE: registry.register_write,
             Instruction.ACTION: registry.write_registered,
             Instruction.REBOOT: registry.reboot,
             Instruction.FACTORY_RESET: registry.factory_reset,

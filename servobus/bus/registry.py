@@ -162,6 +162,7 @@ class DeviceRegistry:
         firmware = identity[2] if len(identity) > 2 else None
         if device.model_number not in (None, number):
             device.forget_answering()
+            device.registered = None
         device.model_number = number
         device.firmware = firmware
         device.set_model(
@@ -262,7 +263,7 @@ class DeviceRegistry:
             and 'ID' not in device.model.by_name
             and (other is None or not other.heard))
 
-    def register(self, device: Device, address: int, data: bytes, stamp: int,
+    def register_write(self, device: Device, address: int, data: bytes, stamp: int,
                  alone: bool = True) -> None:
         """Keep a Reg Write until its Action."""
         is_again = device.registered is not None and device.registered[0] == address
@@ -273,6 +274,7 @@ class DeviceRegistry:
 
     def write_registered(self, device: Device, stamp: int) -> None:
         """Carry out the registered write, at an Action."""
+        self.resolve(device)                   # another one never heard it
         if device.registered is not None:
             address, data, alone = device.registered
             self.write(device, address, data, stamp, alone)

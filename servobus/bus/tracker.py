@@ -5,7 +5,7 @@ Tracker: pairs every status with the instruction it answers.
 
 Rules: an instruction closes the one before, and a device that had to answer that one and did not
 is missed; any status is life; only a status that surely answers the pending instruction touches a
-table (pairing.py). What comes to the master as an instruction is an echo, or another master's.
+table (certainty.py). What comes to the master as an instruction is an echo, or another master's.
 Nothing on the wire raises, and nothing here grows with what is on the wire.
 """
 
@@ -27,15 +27,15 @@ from msg_defs.frame import Frames
 from msg_defs.frame import GLITCH
 from msg_defs.frame import INSTRUCTION_2
 from msg_defs.frame import IS_STATUS
+from servobus.bus import certainty
 from servobus.bus import evidence as ev
-from servobus.bus import pairing
+from servobus.bus.certainty import DOUBTFUL
+from servobus.bus.certainty import SURE
 from servobus.bus.device import Device
 from servobus.bus.evidence import Evidence
 from servobus.bus.instruction_plans import NO_PLAN
 from servobus.bus.instruction_plans import Planner
 from servobus.bus.instruction_plans import RawInstruction
-from servobus.bus.pairing import DOUBTFUL
-from servobus.bus.pairing import SURE
 from servobus.bus.plan import Due
 from servobus.bus.plan import Effect
 from servobus.bus.plan import Plan
@@ -145,7 +145,7 @@ class Tracker:
             self.slots.clear()
 
     def _open_question(self, due: list[Slot]) -> OpenQuestion:
-        return OpenQuestion(self.pending, due, self._damaged_ids, self._state >= pairing.SPOILT,
+        return OpenQuestion(self.pending, due, self._damaged_ids, self._state >= certainty.SPOILT,
                             self._asked[2], self._deferred)
 
     def _forget_pending(self) -> None:
@@ -284,7 +284,7 @@ class Tracker:
                 slot.device.count_damaged(self._damaged_ids, 1)
             for number in unknown:
                 del self.slots[number]
-        if there < len(accesses) and self._state < pairing.SPOILT:
+        if there < len(accesses) and self._state < certainty.SPOILT:
             self._add_incident(stamp, ev.FAST_CUT, accesses[there].id, there, len(accesses))
         return len(blocks) == there < len(accesses)
 
@@ -348,13 +348,13 @@ class Tracker:
             del self.slots[frame[3]]
             return True
         if noise > GLITCH:
-            damage, loud = pairing.TO_MASTER if side == IN else pairing.ON_THE_WIRE
-            self._state = pairing.NEXT[self._state][damage if reason else loud]
+            damage, loud = certainty.TO_MASTER if side == IN else certainty.ON_THE_WIRE
+            self._state = certainty.NEXT[self._state][damage if reason else loud]
         elif noise and not reason:
             self._evidence.counts[ev.GLITCH] += 1
         if reason:
             damage = self._process_damaged(frame, flaw, stamp, side)
-            self._state = pairing.NEXT[self._state][damage]
+            self._state = certainty.NEXT[self._state][damage]
         elif is_repaired and frame[2] == IS_STATUS and frame[3] in self._registry.devices:
             self._registry.devices[frame[3]].counts.repaired += 1
             self._damaged_ids.add(frame[3])  # whether the others understood it, is not known
@@ -362,9 +362,9 @@ class Tracker:
 
     def process_noise(self, noise: int) -> None:
         """Note noise to the master since it asked, which no frame followed."""
-        if noise > GLITCH and self.slots and self._state < pairing.SPOILT:
+        if noise > GLITCH and self.slots and self._state < certainty.SPOILT:
             self._noise = noise // 2           # two may have answered
-            self._state = pairing.NEXT[self._state][pairing.NOISE_IN]
+            self._state = certainty.NEXT[self._state][certainty.NOISE_IN]
 
     @property
     def is_doubtful(self) -> bool:
@@ -373,14 +373,14 @@ class Tracker:
 
     def _process_damaged(self, frame: Frame, flaw: Flaw, stamp: int, side: str) -> int:
         """Note a damaged frame; return what happened to the pairing."""
-        damage, _ = pairing.TO_MASTER if side == IN else pairing.ON_THE_WIRE
+        damage, _ = certainty.TO_MASTER if side == IN else certainty.ON_THE_WIRE
         _, _, kind, number, code, data, _ = frame
         is_status = kind == IS_STATUS
         if is_status and number == BROADCAST and BROADCAST in self.slots \
                 and self.pending.request.answers is Answers.COMBINED:
             del self.slots[BROADCAST]
             if self._split_combined(data, stamp):    # nothing is damaged: the next one is silent
-                return pairing.BROKE_OFF
+                return certainty.BROKE_OFF
         self._evidence.add_damage(stamp, frame, flaw, side)
         if is_status and number == BROADCAST:
             return damage
@@ -403,7 +403,7 @@ class Tracker:
                                int(stamp - (received - began) * self._registry.byte_ns), stamp)
         elif slots and self.unread.reported_ns:        # only a tap says what waits
             self.unread.keep_uncertain(self._open_question([*slots.values()]))
-        if self._deferred is not None and (not due or self._state >= pairing.SPOILT):
+        if self._deferred is not None and (not due or self._state >= certainty.SPOILT):
             self._carry_out()
         self._deferred = None
 
@@ -423,16 +423,13 @@ class Tracker:
             self._add_incident(now, ev.REPEATED, first.device.number, following[2], us)
 
     def _since_asked(self, now: int) -> int:        # in us, from its end
-        return int(now - self._on_wire(*self._asked)) // 1000
-
-    def _on_wire(self, offset: int, received: int, stamp: int) -> float:
-        """Return when this offset was on the wire, from the end and the stamp of its chunk."""
-        return stamp - (received - offset) * self._registry.byte_ns
+        end, received, stamp = self._asked
+        return int(now - (stamp - (received - end) * self._registry.byte_ns)) // 1000
 
     def _sample_latency(self, device: Device, began: int, received: int, stamp: int) -> None:
         if device is not self.pending.first or self._state == DOUBTFUL:
             return                             # another device had its turn before it
         device.latency_resolved += 1
-        end, asked_received, asked = self._asked       # as _on_wire(), which costs more
+        end, asked_received, asked = self._asked
         wait = stamp - asked - (received - began - asked_received + end) * self._registry.byte_ns
         device.latency.add(wait / 1e6 if wait > 0 else 0.0, stamp)

@@ -213,7 +213,7 @@ class UnreadAnswers:
         elif not self.old_until and (
                 not self.reported_ns or question.is_spoilt or self._has_waited(question)
                 or self._has_had_time(question, now)):
-            return NEXT[PENDING][WAITED] == MISSED     # nothing is kept
+            return True                    # WAITED
         else:
             event = NOT_READ if self._purged_ns < question.asked else NOT_READ_PURGED
             waited, slot = now - question.asked, question.due[0]
@@ -223,10 +223,7 @@ class UnreadAnswers:
                          else max(least, NO_WAIT_NS)):
                 self._evidence.add_wait(Wait(now, waited // 1000, slot.device.number, False,
                                              question.plan.request.instruction))
-        state = NEXT[PENDING][event]
-        if state == MISSED:
-            return True
-        self._questions[state].append(question)
+        self._questions[NEXT[PENDING][event]].append(question)
         return False
 
     def note_old_answer(self, number: int, stamp: int) -> None:
@@ -274,7 +271,7 @@ class UnreadAnswers:
         self.old_until = 0                     # what waited is gone with the port
         self._move_all(LOST if pending is None else CLOSED)
         if pending is not None:
-            self._questions[NEXT[PENDING][CLOSED]].append(pending)
+            self._questions[LAST].append(pending)
 
     def _move_all(self, event: str) -> None:
         """Move the questions that are over as NEXT says."""

@@ -3,7 +3,7 @@
 """
 What a register means: Field (bytes -> words and SI numbers) and Model (the fields of a device).
 
-Pure values, made by file.py from YAML; no bytes are kept here (bus/table.py does that).
+Pure values, made by field_entries.py from YAML; no bytes are kept here (bus/table.py does that).
 A reader sees a number bare and short: at most six significant digits, no exponent, and no
 more decimals than the register resolves. Enumerations and flags are shown in words.
 """

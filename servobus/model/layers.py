@@ -29,10 +29,10 @@ from servobus.model.control_table import Field
 from servobus.model.control_table import Indirect
 from servobus.model.control_table import Model
 from servobus.model.control_table import PROTOCOLS
-from servobus.model.file import build_fields
-from servobus.model.file import build_indirect
-from servobus.model.file import Context
-from servobus.model.file import FieldBudget
+from servobus.model.field_entries import build_fields
+from servobus.model.field_entries import build_indirect
+from servobus.model.field_entries import Context
+from servobus.model.field_entries import FieldBudget
 from servobus.model.robotis_file import read_robotis
 from servobus.model.robotis_file import SUFFIX
 

@@ -21,8 +21,8 @@ from servobus.model.checked_yaml import ModelError
 from servobus.model.checked_yaml import Raw
 from servobus.model.checked_yaml import read_file
 from servobus.model.checked_yaml import read_yaml
-from servobus.model.file import ADDRESS_END
-from servobus.model.file import REPEAT_LIMIT
+from servobus.model.field_entries import ADDRESS_END
+from servobus.model.field_entries import REPEAT_LIMIT
 
 SUFFIX = '.model'
 NUMBERS_FILE = 'dynamixel.model'

@@ -85,7 +85,7 @@ _MOTION = _PLACE, 'Torque Enable'
 _PLACE_AND_MODE = _PLACE, 'Operating Mode'
 # Values of Operating Mode in which goals are positions (e-Manual), and those of Feetech.
 _POSITION_MODES = (3, 4, 5), (0, 3)
-_TORQUE_OF_HLS = 'Goal Time or Goal Torque'    # what series is not known (model/layout.py)
+_TORQUE_OF_HLS = 'Goal Time or Goal Torque'    # what series is not known (model/model_guesses.py)
 _FORCES = 'Torque Limit', 'Goal Torque', 'Goal PWM', 'PWM Limit'      # 0 in one: it has none
 
 

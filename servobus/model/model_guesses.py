@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Layout: the registers of a device of unknown model, by what the program uses.
+ModelGuesses: the registers of a device of unknown model, by what the program uses.
 
 A program shows what it believes: it writes 1 byte at 64 and 4 at 116, it reads 4 at 132. What all
 tables of servos agree on that have these registers has a meaning. A use that no table has, or

@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Pairing: how certain it is that an answer belongs to the pending instruction; one table.
+How certain it is that an answer belongs to the pending instruction; one table.
 
 The tracker is always in one of these states, and each instruction begins in SURE. Only here is it
 decided what damage does to that.

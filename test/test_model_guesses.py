@@ -13,10 +13,10 @@ from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 from rigs.tables import rows_of
-from servobus.model import layout
+from servobus.model import model_guesses as guesses
 from servobus.model.models import Models
 
-ALL = layout.ModelGuesses(Models())
+ALL = guesses.ModelGuesses(Models())
 SERVOS = ALL.servos()
 PROGRAMS = {
     'moves': ('Torque Enable', 'Goal Position', 'Present Position'),
@@ -32,7 +32,7 @@ LEFT_OUT = {
 
 
 def kind(field):
-    return (field.name, field.size if field.name in layout.POSITIONS else field.type,
+    return (field.name, field.size if field.name in guesses.POSITIONS else field.type,
             field.size == 1 or field.byte_order)
 
 
@@ -42,7 +42,7 @@ def named(model, program, left_out):
               and not LEFT_OUT[left_out](one, model)]
     used = [(field.at, field.size) for name in PROGRAMS[program]
             if (field := model.by_name.get(name))]
-    found = layout.agreed_model(tables, used)
+    found = guesses.agreed_model(tables, used)
     result = Counter()
     for at, _ in used:
         truth, said = model.by_address[at], found.by_address.get(at)
@@ -73,10 +73,10 @@ def test_no_register_is_named_wrongly(left_out, least):
 
 
 @pytest.mark.parametrize(('protocol', 'used', 'name', 'position'), rows_of(
-    Path(__file__).with_name('layouts.tsv')))
+    Path(__file__).with_name('model_guesses.tsv')))
 def test_a_use_says_which_registers_those_are(protocol, used, name, position):
-    orders = {'little': layout.LITTLE, 'big': layout.BIG, 'sent_little': layout.SENT_LITTLE,
-              'sent_big': layout.SENT_BIG}
+    orders = {'little': guesses.LITTLE, 'big': guesses.BIG, 'sent_little': guesses.SENT_LITTLE,
+              'sent_big': guesses.SENT_BIG}
     found = ALL.find_model(protocol, frozenset(
         orders.get(one) or tuple(map(int, one.split('+'))) for one in used.split()))
     said = found.by_name.get('Present Position')
@@ -84,11 +84,11 @@ def test_a_use_says_which_registers_those_are(protocol, used, name, position):
 
 
 def test_a_position_says_its_order_of_bytes():
-    found = [layout.order_of(bytes(place), None) for place in (
+    found = [guesses.order_of(bytes(place), None) for place in (
         (0xf3, 9), (2, 0x84), (3, 3), (1, 15), (1, 0x80), (0, 0x10))]   # -1, a whole turn
-    assert found == [{layout.LITTLE}, {layout.BIG}, set(), set(), set(), set()]
-    found = [layout.order_of(place, b'\xf3\x09') for place in (b'\x03\x03', b'\x02\x84', None)]
-    assert found == [{layout.SENT_LITTLE}, {layout.BIG}, set()]
+    assert found == [{guesses.LITTLE}, {guesses.BIG}, set(), set(), set(), set()]
+    found = [guesses.order_of(place, b'\xf3\x09') for place in (b'\x03\x03', b'\x02\x84', None)]
+    assert found == [{guesses.SENT_LITTLE}, {guesses.BIG}, set()]
 
 
 def asked(*used):

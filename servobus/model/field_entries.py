@@ -1,10 +1,10 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-One model file: entries -> fields, indirect ranges, each mistake named.
+The entries of a model file -> fields, indirect ranges, each mistake named.
 
 The form is described in docs/models.md. Laying included files under each other is not done here
-(models.py), reading YAML neither (checked_yaml.py).
+(layers.py), reading YAML neither (checked_yaml.py).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Iterator
 from collections.abc import Mapping
-from functools import partial
+from operator import methodcaller
 from pathlib import Path
 import re
 from typing import Any
@@ -108,20 +108,16 @@ def _repeat(entry: Raw, fields: list[Field], check: Check,
     count = check.integer(entry.get('repeat', 1), 'repeat', 1, REPEAT_LIMIT)
     budget.spend(count * sum(1 + len(field.cases.fields if field.cases else ())
                              for field in fields), check)
-    if count > 1 and any('{n}' not in field.name for field in fields):
-        raise check.error('repeat without {n} in the name', "name it as 'Error Code History {n}'")
-    size = fields[0].size if len(fields) == 1 else None
-    step = check.integer(entry.get('step', size), 'step', 1, ADDRESS_END - 1) if count > 1 else 0
     if count == 1:
         yield from fields
         return
+    if any('{n}' not in field.name for field in fields):
+        raise check.error('repeat without {n} in the name', "name it as 'Error Code History {n}'")
+    size = fields[0].size if len(fields) == 1 else None
+    step = check.integer(entry.get('step', size), 'step', 1, ADDRESS_END - 1)
     for n in range(count):
         for field in fields:
-            yield _moved(field, n * step, partial(_numbered, n=n + 1), check)
-
-
-def _numbered(name: str, n: int) -> str:
-    return name.replace('{n}', str(n))
+            yield _moved(field, n * step, methodcaller('replace', '{n}', str(n + 1)), check)
 
 
 def _moved(field: Field, by: int, rename: Callable[[str], str], check: Check) -> Field:
