@@ -196,7 +196,7 @@ def test_the_tables_of_robotis_are_taken_and_agree_with_ours(folder):
     models, ours, layers = Models([folder]), Models(), Layers(folder, BUILT_IN)
     assert models.names() == ours.names()
     for file, (number, *_) in listed_numbers(folder).items():
-        theirs, own = layers.model(folder / file, number), ours.get(number)
+        theirs, own = layers.model(folder / file, number, None), ours.get(number)
         same = [field for field in theirs.fields if field.name in own.by_name]
         assert [field for field in same
                 if (field.at, field.size) != (own.by_name[field.name].at,

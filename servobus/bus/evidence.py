@@ -10,6 +10,7 @@ What happens with each packet is a counter of the device, not an incident.
 from collections import Counter
 from collections import deque
 from collections.abc import Callable
+from itertools import islice
 from operator import attrgetter
 from typing import Any
 from typing import NamedTuple
@@ -284,8 +285,7 @@ class Evidence:
 
     def newest_incidents(self, count: int) -> tuple[Incident[Any], ...]:
         """Return the last incidents, oldest first."""
-        count = min(count, len(self.incidents))
-        return tuple(self.incidents[index] for index in range(-count, 0))
+        return tuple(islice(reversed(self.incidents), count))[::-1]
 
     def errors(self, register: RegisterNamer) -> tuple[Error, ...]:
         """Return the error log, the oldest line first: what is noted later may be older."""

@@ -290,11 +290,12 @@ class DeviceRegistry:
     def factory_reset(self, device: Device, option: str, stamp: int) -> None:
         """Forget what a Factory Reset changes; with 'all' the ID becomes 1."""
         self.reboot(device, stamp)
-        device.table.forget('all', device.model, (*IDENTITY_REGISTERS, *_RESET_KEEPS[option]))
-        if 'Baud Rate' not in _RESET_KEEPS[option]:
+        kept = _RESET_KEEPS[option]
+        device.table.forget('all', device.model, (*IDENTITY_REGISTERS, *kept))
+        if 'Baud Rate' not in kept:
             baud = FACTORY_BAUD if device.dialect is None else FACTORY_BAUD_1
             self._set_moved(device, baud, f'{baud} Bd')
-        if 'ID' not in _RESET_KEEPS[option]:
+        if 'ID' not in kept:
             self.renumber(device, FACTORY_ID, stamp)
 
     def clear(self, device: Device, option: str, stamp: int) -> None:

@@ -402,7 +402,7 @@ class Tracker:
             self._end_question(self._open_question(due), following,
                                int(stamp - (received - began) * self._registry.byte_ns), stamp)
         elif slots and self.unread.reported_ns:        # only a tap says what waits
-            self.unread.keep_uncertain(self._open_question([*slots.values()]))
+            self.unread.uncertain.append(self._open_question([*slots.values()]))
         if self._deferred is not None and (not due or self._state >= certainty.SPOILT):
             self._carry_out()
         self._deferred = None

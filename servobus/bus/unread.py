@@ -99,7 +99,7 @@ class UnreadAnswers:
 
     old_until: what comes before this offset of the stream to the master is old, 0: nothing is.
     reported_ns: stamp of the last UNREAD, 0: never. vain_read_ns: until when the program looked
-    for bytes, and there were none. deferred: the questions in that state, the oldest first.
+    for bytes, and there were none. deferred, uncertain: the questions in that state, oldest first.
     discarded: how many bytes were since the last question.
     """
 
@@ -116,7 +116,7 @@ class UnreadAnswers:
         self._late_ns = -1                 # stamp of the question of which the answer was late
         self._questions = {state: deque[OpenQuestion](maxlen=kept) for state, kept in (
             (UNCERTAIN, QUESTIONS_KEPT), (DEFERRED, QUESTIONS_KEPT), (LAST, None), (DONE, 0))}
-        self.deferred = self._questions[DEFERRED]
+        self.deferred, self.uncertain = self._questions[DEFERRED], self._questions[UNCERTAIN]
         self._given_up: deque[tuple[Slot, int]] = deque(maxlen=QUESTIONS_KEPT)
         self._old_answers: deque[tuple[int, int]] = deque(maxlen=2)   # their ID and stamp
 
@@ -244,10 +244,6 @@ class UnreadAnswers:
             self._evidence.add_frequent(now, ev.TAKEN_FOR, asked, number)
         else:
             self._evidence.counts[ev.NOT_TAKEN] += 1
-
-    def keep_uncertain(self, question: OpenQuestion) -> None:
-        """Accept a write that is over, of which it is unknown whether it is acknowledged."""
-        self._questions[UNCERTAIN].append(question)
 
     def keep_given_up(self, slot: Slot, asked: int, now: int) -> None:
         """Keep a missed answer that was looked for, if it may be late: it lives, or it is soon."""

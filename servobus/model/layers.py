@@ -105,9 +105,6 @@ class Layers:
         self._layers: dict[Path, Layer] = {}
         self._whole: dict[tuple[Path, int | None, int | None], Layer] = {}
 
-    def _refuse(self, path: Path, field: str, reason: str, remedy: str) -> None:
-        self._report(ModelError(path, field, reason, remedy))
-
     def variant(self, path: Path, firmware: int | None) -> int | None:
         """Return which older table a device with this firmware has, None for the newest one."""
         return min((up_to for up_to in self.definition(path).older
@@ -122,7 +119,7 @@ class Layers:
             for number in definition.numbers:
                 self._whole_layer(definition, number, variant)
 
-    def model(self, path: Path, number: int, variant: int | None = None) -> Model:
+    def model(self, path: Path, number: int, variant: int | None) -> Model:
         """Return the model `number` out of `path`; raises ModelError."""
         definition = self.definition(path)
         if number not in definition.numbers:
@@ -198,8 +195,9 @@ class Layers:
                           self.definition(path).raw.get('byte_order', 'little'))
         for field in build_fields(raw.get('fields', []), context):
             if field.name in own:
-                self._refuse(path, field.name, f'name given twice, at {own[field.name].at} and '
-                             f'{field.at}', 'rename one')
+                self._report(ModelError(
+                    path, field.name, f'name given twice, at {own[field.name].at} and {field.at}',
+                    'rename one'))
             own[field.name] = field
         return own
 
@@ -209,28 +207,30 @@ class Layers:
                               for name in check.sequence(raw.get('without', []), 'without'))
         for name in names:
             if name not in below.fields:
-                self._refuse(path, name, 'no included file has this field', 'correct the name')
+                self._report(ModelError(path, name, 'no included file has this field',
+                                        'correct the name'))
         return {name: field for name, field in below.fields.items() if name not in names}
 
     def _check_whole(self, path: Path, layer: Layer) -> None:
         fields = layer.all_fields()
         for first, second in pairwise(fields):
             if second.at < first.end:
-                self._refuse(
+                self._report(ModelError(
                     path, second.name,
                     f'at {second.at} it overlaps {first.name} ({first.at} to {first.end - 1})',
-                    'correct at or type, or take the other away with without: [NAME]')
+                    'correct at or type, or take the other away with without: [NAME]'))
         names = {field.name for field in fields}
         for field in fields:
             if field.cases and field.cases.by not in names:
-                self._refuse(path, field.name, f'by {describe(field.cases.by)}: no such field',
-                             'correct by')
+                self._report(ModelError(
+                    path, field.name, f'by {describe(field.cases.by)}: no such field',
+                    'correct by'))
         for alias, name in layer.aliases.items():
             if name not in names or alias in names:
-                reason = 'no such field' if name not in names else (f'{alias} is also the name of '
-                                                                    'a field')
-                self._refuse(path, alias, f'alias of {describe(name)}: {reason}',
-                             'correct aliases')
+                reason = 'no such field' if name not in names \
+                    else f'{alias} is also the name of a field'
+                self._report(ModelError(path, alias, f'alias of {describe(name)}: {reason}',
+                                        'correct aliases'))
 
 
 def _read_definition(path: Path) -> Definition:

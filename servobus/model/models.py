@@ -19,6 +19,7 @@ import re
 
 from servobus.model.checked_yaml import BUILT_IN
 from servobus.model.checked_yaml import ModelError
+from servobus.model.checked_yaml import read_file
 from servobus.model.control_table import Model
 from servobus.model.layers import Layers
 from servobus.model.layers import model_key
@@ -135,7 +136,10 @@ def _check_file(path: Path, layers: Layers, seen: dict[int, Path],
                 problems: list[ModelError]) -> None:
     try:
         numbers = layers.definition(path).numbers
-        problems += [_twice(path, number, seen[number]) for number in numbers if number in seen]
+        problems += [
+            ModelError(path, 'model_numbers',
+                       f'{number & NUMBER_MASK} is in {seen[number].name} too', 'keep one of them')
+            for number in numbers if number in seen]
         seen.update(dict.fromkeys(numbers, path))
         layers.check(path)
     except ModelError as error:
@@ -167,10 +171,7 @@ def _built_in_names() -> set[str]:
 
 def scan_numbers(path: Path, layers: Layers) -> dict[int, str]:
     """Read number -> name from its line if that has the plain form, else from the file."""
-    try:
-        text = path.read_bytes()
-    except OSError:
-        text = b''
+    text = read_file(path)
     match = _NUMBERS.search(text)
     if match is None:
         return {} if path.name.startswith('_') else layers.definition(path).numbers
@@ -182,11 +183,6 @@ def scan_numbers(path: Path, layers: Layers) -> dict[int, str]:
             return layers.definition(path).numbers
         found[model_key(int(number[1], 0), protocol)] = number[2].rstrip()
     return found
-
-
-def _twice(path: Path, number: int, other: Path) -> ModelError:
-    return ModelError(path, 'model_numbers', f'{number & NUMBER_MASK} is in {other.name} too',
-                      'keep one of them')
 
 
 def _known_name(name: str) -> str:
