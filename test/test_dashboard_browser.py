@@ -899,6 +899,36 @@ def test_one_slider_moves_cards_plots_and_events(open_page, tmp_path):
         page.context.close()
 
 
+def test_two_servos_in_one_plot_of_the_history(open_page, tmp_path):
+    """Over the same time, with the events of both; the link and the files have both."""
+    with recorded(tmp_path) as (dashboard, begin):
+        page = open_page(f'{dashboard.address}#/history/{KNEE}?from={begin + 1500}'
+                         f'&to={begin + 2400}')
+        see(page, '.legend', '^temperature')
+        page.get_by_label('Compare with').select_option('dxl_monitor: 001 left_hip_yaw')
+        for _ in range(2):
+            see(page, '.legend', '007 left_knee temperature4[34] \u00b0C.*'
+                                 '001 left_hip_yaw temperature4[34] \u00b0C')
+            assert page.locator('.graphs canvas').count() == 2              # position, temperature
+            assert 'error from' in page.get_by_label('State of 007 left_knee').get_attribute(
+                'aria-label')
+            see(page, '.graphs', '001 left_hip_yaw position0.1 to 0.2 rad')
+            page.reload()
+        page.locator('.graphs canvas').last.hover(position={'x': 300, 'y': 50})
+        see(page, '.legend', r'007 left_knee temp.*C at .*001 left_hip_yaw temp.*C at ')
+        with page.expect_download() as download:
+            page.get_by_role('link', name='values as CSV').click()
+        saved = download.value.path().read_text()
+        assert '007 left_knee' in saved
+        assert '001 left_hip_yaw' in saved
+        page.locator('.events a', has_text='left_knee').first.click()
+        see(page, '.legend', '001 left_hip_yaw temperature')
+        page.get_by_role('button', name='Remove 001 left_hip_yaw temperature').click()
+        see(page, '.legend', '^temperature')
+        assert 'with' not in asked(page)
+        page.context.close()
+
+
 def test_the_link_of_an_event_shows_it(open_page, tmp_path):
     """Also where it was within a second; and until when it lasted, where that is later."""
     with recorded(tmp_path) as (dashboard, begin):

@@ -18,7 +18,7 @@ export class HistoryView {
     const around = at && !get('from') && {from: String(at - AROUND_S), to: String(at + AROUND_S)};
     const usual = get('last') ? `-${get('last')} s` : name ? '-1 h' : '-8 h';
     this.panel = new HistoryPanel(this.name, {from: get('from') || usual, to: get('to'), ...around,
-      at, kind: get('kind')}, () => this.#keep());
+      at, kind: get('kind'), others: filters.getAll('with')}, () => this.#keep());
     this.crumbs = h('nav', {class: 'crumbs', ariaLabel: 'Place'});
     this.element = h('div', {}, this.crumbs,
       h('h1', {tabindex: -1}, name ? name.replace(/^.*?: /, '') : 'History'),
@@ -26,8 +26,9 @@ export class HistoryView {
   }
 
   #keep() {
-    const {from, to, at, kind} = this.panel;
-    keepFilters({from, to, at: at && String(Math.round(at)), kind});
+    const {from, to, at, kind, others} = this.panel;
+    keepFilters([['from', from], ['to', to], ['at', at && String(Math.round(at))], ['kind', kind],
+      ...others.map((name) => ['with', name])]);
   }
 
   close() { this.panel.close(); }

@@ -1,12 +1,13 @@
 // Copyright 2026 The mecarover_serial authors
 // SPDX-License-Identifier: Apache-2.0
-// What was: events, and the values of one device or bus, of any time span the server remembers.
+// What was: events, and the values of one device or bus, with those of others in the same plots, of
+// any time span the server remembers.
 
 import {EventList, GAP} from './causes.js';
 import {each, h, say, set} from './dom.js';
 import {clock, offset, plural, zone} from './format.js';
 import {HistoryCards, unitOf} from './history_cards.js';
-import {choice, showChosen} from './parts.js';
+import {choice, fill, showChosen} from './parts.js';
 import {Pause} from './pause.js';
 import {path} from './place.js';
 import {Plot} from './plot.js';
@@ -20,6 +21,7 @@ const LEAST_S = 60;
 const AROUND_S = 120;          // so much before and after an event its link shows
 const LATEST_S = 20;           // cards show what was recorded in so many s before their time
 const STEPS = 600;             // that the slider has
+const MOST_BESIDE = 3;         // a plot has four kinds of lines
 
 /** Whether a text is a time before now, or now. */
 const isRelative = (text) => /^([-\u2212].*|now)?$/.test(text);
@@ -34,11 +36,14 @@ export class HistoryPanel {
 
   /**
    * of: the name of a device or bus, null for the events of all; from and to: as the server takes
-   * them, to = '' for now; at: Unix s in between that is looked at, null for the newest.
+   * them, to = '' for now; at: Unix s in between that is looked at, null for the newest; others:
+   * names of what is compared with it.
    * changed() is called when another time is chosen.
    */
-  constructor(of, {from = '-1 h', to = '', at = null, kind = ''} = {}, changed = () => {}) {
+  constructor(of, {from = '-1 h', to = '', at = null, kind = '', others = []} = {},
+    changed = () => {}) {
     Object.assign(this, {of, from, to, at, kind, changed});
+    this.others = of ? others.slice(0, MOST_BESIDE) : [];
     this.usual = isRelative(from) && isRelative(to) ? from : '-1 h';
     this.spans = choice('Time shown', SPANS.map((span) => [`-${span}`, span]),
       (from) => this.#choose(from, ''));
@@ -56,17 +61,19 @@ export class HistoryPanel {
         'data-format': format}, `${what} as ${format.toUpperCase()}`)));
     this.problem = h('p', {class: 'message', role: 'status'});
     this.zone = h('p', {class: 'quiet'});
-    this.levels = h('div', {class: 'levels', role: 'img', ariaLabel: 'State'});
-    this.levels.hidden = true;
-    this.plots = new Plots(([name]) => this.#makePlot(name), (cursor) => {
+    this.compare = h('select', {ariaLabel: 'Compare with',
+      onchange: () => this.#compare(this.compare.value)});
+    this.levels = h('div');
+    this.plots = new Plots(({name}) => this.#makePlot(name), (cursor) => {
       if (cursor === null) this.#point();
     });
-    this.events = new EventList(pathAround, of);
+    this.events = new EventList((at, name) =>
+      pathAround(at, name, name === of ? this.others : []), of);
     this.cards = new HistoryCards((at, name) => `${path('history', name)}?${
       new URLSearchParams({from: this.from, to: this.to, at: String(at)})}`);
     this.body = h('div', {class: 'past'},
       h('div', {class: 'past-head'}, this.spans, h('label', {}, 'From ', this.begin),
-        h('label', {}, 'To ', this.end)),
+        h('label', {}, 'To ', this.end), this.compare),
       h('div', {class: 'player scrub'}, this.slider, this.when, this.live), this.levels,
       this.plots.element,
       h('div', {class: 'past-head'}, this.kinds, this.pause.element,
@@ -104,6 +111,28 @@ export class HistoryPanel {
     this.#showEvents();
   }
 
+  get #names() { return this.of ? [this.of, ...this.others] : []; }
+
+  /** Compare with a device or bus of this name; or do so no more. */
+  #compare(name) {
+    this.others = this.others.includes(name) ? this.others.filter((one) => one !== name)
+      : [...this.others, name];
+    this.changed();
+    this.#asked = -Infinity;
+    this.update(this.store);
+  }
+
+  #offerOthers() {
+    const {of, others} = this;
+    const groups = this.store.groups();
+    const all = groups.flatMap(({row, devices}) => this.store.buses.has(of) ? row ?? [] : devices)
+      .map(({name}) => name).filter((name) => name !== of);
+    fill(this.compare, [['', 'Compare with\u2026'], ...all.filter((name) =>
+      others.length < MOST_BESIDE || others.includes(name)).map((name) =>
+      [name, (others.includes(name) ? 'Remove ' : '') + nameOf(name)])], '');
+    this.compare.hidden = !of || !all.length;
+  }
+
   /** Look at a time: what is shown stays, until Live is pressed. */
   #scrub(at) {
     this.at = at;
@@ -124,6 +153,7 @@ export class HistoryPanel {
       this.#say(`No history is recorded: ${store.facts.without}.`);
       return;
     }
+    this.#offerOthers();
     const now = performance.now() / 1000;
     if (now - this.#asked < (this.#isLive && !this.pause.isOn ? AGAIN_S : Infinity)) return;
     this.#asked = now;
@@ -132,16 +162,15 @@ export class HistoryPanel {
 
   #query(from, to) {
     const query = new URLSearchParams({from, zone: offset(), ...to && {to}});
-    if (this.of) query.set('of', this.of);
-    else if (this.store.robot !== null) query.set('robot', this.store.robot);
+    for (const name of this.#names) query.append('of', name);
+    if (!this.of && this.store.robot !== null) query.set('robot', this.store.robot);
     return query;
   }
 
   /** A device shares the events of its bus: that no device answered, that the port was closed. */
-  #bus() {
-    const device = this.store.devices.get(this.of);
-    return device ? `&of=${encodeURIComponent(`${device.node}: ${`bus ${device.bus}`.trim()}`)}`
-      : '';
+  #buses() {
+    return this.#names.map((name) => this.store.devices.get(name)).filter(Boolean).map(
+      ({node, bus}) => `&of=${encodeURIComponent(`${node}: ${`bus ${bus}`.trim()}`)}`).join('');
   }
 
   async #ask() {
@@ -149,7 +178,7 @@ export class HistoryPanel {
     const query = this.#query(this.from, this.to);
     this.#showChoice();
     try {
-      const [events, values] = await Promise.all([get(`history/events?${query}${this.#bus()}`),
+      const [events, values] = await Promise.all([get(`history/events?${query}${this.#buses()}`),
         this.of ? get(`history/values?${query}`) : null]);
       if (number !== this.#answer) return;
       if (events.to - events.from < LEAST_S) {
@@ -244,14 +273,20 @@ export class HistoryPanel {
   }
 
   #showValues(answer, range) {
-    const source = answer?.sources[this.of];
-    const values = Object.entries(source?.values ?? {}).filter(([, points]) => points.length);
-    const gap = 2.5 * (answer?.step ?? 1);
-    this.levels.hidden = !source;
-    if (source) showLevels(this.levels, runsOf(source.levels, answer.step), range);
-    this.plots.update(values, ([name]) => name, (plot, [name, points]) => {
-      plot.update([{name: name.replaceAll('_', ' '), unit: unitOf(name, source), points,
-        step: answer.step}], range[1], {unix: (s) => s, gap});
+    const {sources = {}, step} = answer ?? {};
+    const known = this.#names.filter((name) => sources[name]);
+    each(this.levels, known, (name) => name,
+      () => h('div', {class: 'levels', role: 'img'}), (element, name) =>
+        showLevels(element, nameOf(name), runsOf(sources[name].levels, step), range));
+    const found = known.flatMap((of) => Object.entries(sources[of].values)
+      .filter(([, points]) => points.length)
+      .map(([name]) => ({name, unit: unitOf(name, sources[of])})));
+    this.plots.update(found, ({name, unit}) => `${name} ${unit}`, (plot, {name, unit}) => {
+      plot.update(this.#names.filter((of) => !sources[of] || unitOf(name, sources[of]) === unit)
+        .map((of) => ({unit, name: [...this.others.length ? [nameOf(of)] : [],
+          name.replaceAll('_', ' ')].join(' '), points: sources[of]?.values[name] ?? [], step,
+          remove: of === this.of ? null : () => this.#compare(of)})),
+      range[1], {unix: (s) => s, gap: 2.5 * step});
       plot.cover(range[1] - range[0]);
     });
   }
@@ -273,10 +308,14 @@ export class HistoryPanel {
 }
 
 /** The address of a source, or of all, around a time; an event of this second is before it. */
-function pathAround(at, name) {
+function pathAround(at, name, others) {
   const s = Math.ceil(at);
-  return `${path('history', ...name ? [name] : [])}?from=${s - AROUND_S}&to=${s + AROUND_S}&at=${s}`;
+  const query = new URLSearchParams([['from', s - AROUND_S], ['to', s + AROUND_S], ['at', s],
+    ...others.map((one) => ['with', one])]);
+  return `${path('history', ...name ? [name] : [])}?${query}`;
 }
+
+const nameOf = (name) => name.replace(/^.*?: /, '');
 
 /** When nothing was recorded, as events. */
 const gapsOf = ({gaps}) => gaps.map(([from, to]) => [to, '', '', GAP, LEVELS.indexOf('stale'),
@@ -305,7 +344,7 @@ function runsOf(levels, step) {
   return runs;
 }
 
-function showLevels(element, runs, [from, to]) {
+function showLevels(element, name, runs, [from, to]) {
   const share = (s) => 100 * Math.min(1, Math.max(0, (s - from) / (to - from)));
   each(element, runs.map((run, index) => ({run, index})), ({index}) => index, () => h('i'),
     (part, {run: [begin, end, level]}) => {
@@ -315,5 +354,6 @@ function showLevels(element, runs, [from, to]) {
     });
   const bad = runs.filter(([, , level]) => level > 0).map(([begin, end, level]) =>
     `${LEVELS[level]} from ${clock(begin)} to ${clock(end)}`);
-  set(element, 'aria-label', `State: ${bad.slice(0, 5).join(', ') || 'ok all the time'}`);
+  set(element, 'title', name);
+  set(element, 'aria-label', `State of ${name}: ${bad.slice(0, 5).join(', ') || 'ok all the time'}`);
 }

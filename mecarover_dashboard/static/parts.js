@@ -43,6 +43,13 @@ export function showChosen({children}, value) {
   }
 }
 
+/** Fill a select with [value, text]. */
+export function fill(select, options, value = select.value) {
+  each(select, options, ([one]) => one, ([one]) => h('option', {value: one}),
+    (option, [, text]) => say(option, text));
+  select.value = options.some(([one]) => one === value) ? value : options[0]?.[0];
+}
+
 /** A part of a view, below its heading (text or an element). */
 export const panel = (title, ...content) =>
   h('section', {class: 'panel'}, h('h2', {}, title), ...content);

@@ -3,9 +3,9 @@
 // View 7: chosen registers of any servos over the last minute, at the rate of the bus; one plot
 // for each unit, so that goal and present position lie over each other.
 
-import {each, h, say, set} from './dom.js';
+import {h, say, set} from './dom.js';
 import {clock, figure, id3, numberOf, splitUnit} from './format.js';
-import {choice, fillEmpty, showChosen} from './parts.js';
+import {choice, fill, fillEmpty, showChosen} from './parts.js';
 import {keepFilters, path} from './place.js';
 import {Plot} from './plot.js';
 import {Plots} from './plots.js';
@@ -416,11 +416,4 @@ function statisticsOf(signal, from, to, isSampled) {
     deviation > 0 && !signal.isWritten
       && `mean ${text(mean)}, \u03c3 ${figure(factor * deviation, 3)} of ${count}`]
     .filter(Boolean).join(', ');
-}
-
-/** Fill a select with [value, text]. */
-function fill(select, options, value = select.value) {
-  each(select, options, ([one]) => one, ([one]) => h('option', {value: one}),
-    (option, [, text]) => say(option, text));
-  select.value = options.some(([one]) => one === value) ? value : options[0]?.[0];
 }
