@@ -73,17 +73,21 @@ function coloursOf(canvas) {
 /**
  * What the line shows at a time: {low, high, at, isBetween}; at the end where the time is null;
  * null: nothing. Between two points it is on the line between them: no value that was measured.
- * Of a band (`step`) it is what the step of that time has.
+ * Of a band (`step`) it is what the step of that time has. pointAt(s): the point that was thinned
+ * out and is at this very time, or null.
  */
-export function readAt(points, s, near, {gap = GAP_S, step = 0, isSampled = false} = {}) {
+export function readAt(points, s, near,
+  {gap = GAP_S, step = 0, isSampled = false, pointAt = () => null} = {}) {
+  const exact = s === null ? null : pointAt(s);
+  if (exact) return at(exact);
   const after = s === null ? points.length : points.findIndex((point) => point[0] >= s);
   const [left, right] = [points.at(after < 0 ? -1 : after - 1), points[after]];
   const isLeft = after !== 0 && left && left[1] !== null;
   if (s === null) return isLeft ? at(left[3] === undefined ? left : [left[0], left[3]]) : null;
   if (step) return isLeft && s - left[0] <= (right ? step : gap) ? {...at(left), at: s} : null;
   const isRight = right && right[1] !== null;
-  if (isRight && right[0] - s <= near) return at(right);
-  if (isLeft && s - left[0] <= near) return at(left);
+  const nearer = isRight && (!isLeft || right[0] - s <= s - left[0]) ? right : isLeft && left;
+  if (nearer && Math.abs(nearer[0] - s) <= near) return at(nearer);
   if (isSampled && isLeft) return at(left);
   if (isLeft && isRight && right[0] - left[0] < gap) {
     const from = left[2] ?? left[1];
@@ -292,8 +296,8 @@ function drawUpright(pen, {top, height}, x, colours, dash = []) {
 
 function drawCursor(pen, area, at, shown, {cursor, gap, from, to}, colours) {
   drawUpright(pen, area, at.x(cursor), colours);
-  shown.forEach(({points, step, isSampled}, index) => {
-    const found = readAt(points, cursor, nearOf(area, from, to), {gap, step, isSampled});
+  shown.forEach(({points, step, isSampled, pointAt}, index) => {
+    const found = readAt(points, cursor, nearOf(area, from, to), {gap, step, isSampled, pointAt});
     if (!found) return;
     pen.fillStyle = colours.lines[index % 4];
     for (const value of step ? [found.low, found.high] : [found.high]) {

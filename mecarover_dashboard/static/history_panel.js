@@ -20,7 +20,8 @@ const AGAIN_S = 20;            // how old the newest values may become
 const LEAST_S = 60;
 const AROUND_S = 120;          // so much before and after an event its link shows
 const LATEST_S = 20;           // cards show what was recorded in so many s before their time
-const STEPS = 600;             // that the slider has
+const STEP_S = 10;             // of what is recorded
+const STEPS = 600;             // of values that are shown; the slider has the same
 const MOST_BESIDE = 3;         // a plot has four kinds of lines
 
 /** Whether a text is a time before now, or now. */
@@ -228,9 +229,10 @@ export class HistoryPanel {
     const [from, to] = this.#range;
     this.#showChoice();
     set(this.slider, 'disabled', null);
-    set(this.slider, 'min', Math.floor(from));
-    set(this.slider, 'max', Math.ceil(to));
-    set(this.slider, 'step', Math.max(1, Math.round((to - from) / STEPS)));
+    const step = STEP_S * Math.max(1, Math.ceil((to - from) / STEPS / STEP_S));
+    set(this.slider, 'min', step * Math.ceil(from / step));
+    set(this.slider, 'max', step * Math.floor(to / step));
+    set(this.slider, 'step', step);
     this.slider.value = this.at ?? to;
     const text = this.#isLive ? 'now' : clock(this.at ?? to, this.now);
     set(this.slider, 'aria-valuetext', text);

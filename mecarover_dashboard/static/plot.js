@@ -82,9 +82,9 @@ export class Plot {
 
   /**
    * Show series [{name, unit, note, points: [[s, value or null] or [s, low, high, last], ...],
-   * hasDots, isSampled, remove}] up to now (s): a dot for each point where they are far apart,
+   * pointAt, hasDots, isSampled, remove}] up to now (s): a dot for each point where they are far apart,
    * wherever they are samples; what its button does. All are in one unit, as it is reported.
-   * With `step` a point [s, low, high] is of so many s: together they are a band.
+   * pointAt(s): see readAt(). With `step` a point [s, low, high] is of so many s: together they are a band.
    * options: `low`, where the scale begins; `limits`, [[name, value], ...]; `gap`, s without a
    * point that break the line; `unix(s)`, the Unix time of a time; `timeOfDay(s)`, a text after
    * it; `zero`, s that are called now; `rest`, s between two moves of the plot.
@@ -92,8 +92,9 @@ export class Plot {
   update(series, now, options = {}) {
     const isOther = series.map(nameOf).join() !== this.#series.map(nameOf).join();
     const [unit, factor] = shownIn(series[0]?.unit ?? '');
+    const scaled = (point) => point && [point[0], ...point.slice(1).map(times(factor))];
     this.#series = factor === 1 ? series : series.map((one) => ({...one, unit,
-      points: one.points.map(([s, ...values]) => [s, ...values.map(times(factor))])}));
+      points: one.points.map(scaled), pointAt: one.pointAt && ((s) => scaled(one.pointAt(s)))}));
     this.#now = now;
     this.#options = {...options, unit,
       limits: options.limits?.map(([name, value]) => [name, factor * value])};
@@ -140,6 +141,7 @@ export class Plot {
   onZoom = null;               // who shows another time instead, given [from, to]; null: up to now
   isZoomed = false;            // a finger moves the time shown
   bounds = null;               // gives [from, to] that the wheel can reach; null: it scrolls the page
+  next = null;                 // gives where the cursor goes from a time with an arrow key: by 1 or -1
   onMark = () => {};           // given the time that is marked, or null
   onCursor = () => {};         // given where the cursor is, s before the right edge, or null
 
@@ -188,14 +190,18 @@ export class Plot {
   }
 
   #key(event) {
-    const step = {ArrowLeft: 1, ArrowRight: -1}[event.key];
+    const step = {ArrowLeft: -1, ArrowRight: 1}[event.key];
+    const leap = {PageDown: -1, PageUp: 1}[event.key];
     const turn = {'+': -1, '-': 1}[event.key];
     const [from, to] = this.range;
+    const s = to - (this.#cursor ?? 0);
+    const part = (to - from) / 60;
     if (this.bounds && (turn || step && event.shiftKey)) {
       this.#zoomTo(turned(this.range, to - (this.#cursor ?? (to - from) / 2), {
-        deltaX: turn ? 0 : -step, deltaY: turn ?? 0, deltaMode: 1}, this.bounds()));
-    } else if (step) this.#move((this.#cursor ?? 0) + step * (to - from) / 60);
-    else if (event.key === 'Enter') this.#setMark(to - (this.#cursor ?? 0));
+        deltaX: turn ? 0 : step, deltaY: turn ?? 0, deltaMode: 1}, this.bounds()));
+    } else if (step) this.#move(to - (this.next?.(s, step) ?? s + step * part));
+    else if (leap) this.#move(to - s - leap * 6 * part);
+    else if (event.key === 'Enter') this.#setMark(s);
     else if (event.key === 'Escape' && this.#mark !== null) this.#setMark(null);
     else if (event.key === 'Escape') this.#zoomTo(null);
     else return;
@@ -223,9 +229,9 @@ export class Plot {
     const near = nearOf(this.#area, ...this.range);
     const mark = s !== null && isWithin(this.#mark, this.range) ? this.#mark : null;
     const rows = shown.map((one, index) => {
-      const {step, isSampled} = one;
+      const {step, isSampled, pointAt} = one;
       const points = s === null ? one.points.filter(([time]) => time <= this.range[1]) : one.points;
-      const read = (time) => readAt(points, time, near, {gap, step, isSampled});
+      const read = (time) => readAt(points, time, near, {gap, step, isSampled, pointAt});
       const value = read(s);
       return {...one, index, value, difference: mark !== null && differenceOf(read(mark), value)};
     });

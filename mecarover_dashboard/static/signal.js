@@ -9,6 +9,7 @@ const EVERY_MS = 100;
 const RETRY_MS = 1000;         // the page says itself that the server is lost
 const LEAST_GAP_S = 0.02;
 const INTERVALS = 500;         // so many of the newest say what is usual between two values
+const SAME_S = 1e-6;           // less than the clock of the values can tell apart
 const RATE_S = 5;              // the rate is that of the last so many seconds
 
 /** One register of one device; its points lie in `data` as s, value, s, value ... */
@@ -64,6 +65,19 @@ export class Signal {
     return 2 * low;
   }
 
+  /** The value at this very time, as a point; null: there is none. */
+  pointAt(s) {
+    const at = this.indexOf(s - SAME_S);
+    const [time, value] = at < this.end ? this.data.subarray(at, at + 2) : [Infinity];
+    return time <= s + SAME_S && Number.isFinite(value) ? [time, value] : null;
+  }
+
+  /** When the next value is, after a time (by: 1) or before it (-1); null: never. */
+  beside(s, by) {
+    const at = by > 0 ? this.indexOf(s + SAME_S) : this.indexOf(s - SAME_S) - 2;
+    return at >= this.begin && at < this.end ? this.data[at] : null;
+  }
+
   /** Values per second, lately. */
   rate(now) {
     const count = (this.end - this.indexOf(now - RATE_S)) / 2;
@@ -71,7 +85,7 @@ export class Signal {
   }
 
   /**
-   * {count, rate, low, high, mean, deviation} of the values from one time to another; rate: per
+   * {count, rate, low, high, mean, rms, deviation} of the values from one time to another; rate: per
    * second; deviation: of the sample. What was written before counts for low and high: it holds.
    */
   statistics(from, to) {
@@ -88,7 +102,8 @@ export class Signal {
       squares += error * (value - mean);
     }
     const rate = count && count / (to - Math.max(from, this.data[this.begin]));
-    return {count, rate, low, high, mean, deviation: Math.sqrt(squares / Math.max(1, count - 1))};
+    return {count, rate, low, high, mean, rms: Math.sqrt(mean ** 2 + squares / Math.max(1, count)),
+      deviation: Math.sqrt(squares / Math.max(1, count - 1))};
   }
 
   /**

@@ -297,11 +297,12 @@ export class SignalsView {
       plot.label = `Signals, ${shownIn(unit)[0]}`;
       plot.cover(to - from, {isQuiet: true});
       plot.isZoomed = Boolean(this.#zoom);
+      plot.next = (s, by) => nextOf(some, s, by);
       plot.update(some.map((signal) => {
         const points = signal.drawn(from, to, plot.width, now);
         return {name: this.#name(signal), unit: splitUnit(signal.key)[1], points,
           note: statisticsOf(signal, from, to, this.isSampled),
-          hasDots: !signal.isWritten, isSampled: this.isSampled,
+          pointAt: (s) => signal.pointAt(s), hasDots: !signal.isWritten, isSampled: this.isSampled,
           remove: () => this.#remove(signal)};
       }), to, {gap: Infinity, rest: 0, zero: now,
         timeOfDay: (s) => this.#timeOfDay(s)});
@@ -403,17 +404,23 @@ function nameOf({id, joint, bus}, devices) {
   return [id3(id), joint, devices.some((one) => one.bus !== bus) && bus].filter(Boolean).join(' ');
 }
 
+/** When the next value of any of some signals is; s itself where there is none. */
+function nextOf(signals, s, by) {
+  const times = signals.map((one) => one.beside(s, by)).filter((time) => time !== null);
+  return times.length ? by * Math.min(...times.map((time) => by * time)) : s;
+}
+
 /**
  * What is known of the values from one time to another, as a text. No mean of what was written:
  * that of rare writes is not that of the time they hold.
  */
 function statisticsOf(signal, from, to, isSampled) {
   const [unit, factor] = shownIn(splitUnit(signal.key)[1]);
-  const {count, rate, low, high, mean, deviation} = signal.statistics(from, to);
+  const {count, rate, low, high, mean, rms, deviation} = signal.statistics(from, to);
   const text = (value) => measured(factor * value, unit);
   return [count > 0 && `${figure(rate, 2)} ${isSampled ? 'samples/s' : '/s'}`,
     low < high && `${text(low)} to ${text(high)}`,
     deviation > 0 && !signal.isWritten
-      && `mean ${text(mean)}, \u03c3 ${figure(factor * deviation, 3)} of ${count}`]
+      && `mean ${text(mean)}, RMS ${text(rms)}, \u03c3 ${figure(factor * deviation, 3)} of ${count}`]
     .filter(Boolean).join(', ');
 }
