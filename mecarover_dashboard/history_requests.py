@@ -105,10 +105,9 @@ async def _stream(request: web.Request, lines: Iterator[list[str]]) -> web.Strea
     def piece() -> list[list[str]]:
         return list(islice(lines, _ROWS))
     some = await asyncio.to_thread(piece)
-    name = f'{request.path.rpartition("/")[2]}.csv'
+    # The page names the file: it knows the robot, and which devices it shows.
     response = web.StreamResponse(headers={
-        'Content-Type': 'text/csv; charset=utf-8',
-        'Content-Disposition': f'attachment; filename="mecarover-{name}"'})
+        'Content-Type': 'text/csv; charset=utf-8', 'Content-Disposition': 'attachment'})
     await response.prepare(request)
     while some and request.method != 'HEAD':
         text = io.StringIO()
@@ -191,7 +190,7 @@ def _values_csv(reader: HistoryReader, question: Question) -> Iterator[list[str]
         ranges = dict(zip(VALUES[window.source.kind], window.ranges, strict=True))
         yield [_iso(window.at), _cell(window.source.robot), _cell(window.source.name),
                window.level.name, _cell(window.source.unit),
-               *('' if end is None else f'{end:g}'
+               *('' if end is None else f'{end:.3f}'      # as it is kept
                  for name in _CSV_VALUES for end in ranges.get(name) or (None, None)),
                _cell(window.source.position_unit)]
 

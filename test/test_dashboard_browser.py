@@ -3,6 +3,7 @@
 """The dashboard in a real browser: every view, in four sizes, and what may go wrong around it."""
 from contextlib import closing
 from contextlib import contextmanager
+from datetime import datetime
 from itertools import pairwise
 from itertools import product
 import math
@@ -400,7 +401,7 @@ def test_signals_at_the_rate_of_the_bus(open_page):
         see(page, '.legend', 'Present Position.*rad at \u2212.*Goal Position.*0.95 rad')
         with page.expect_download() as download:
             page.get_by_role('button', name='CSV').click()
-        assert re.fullmatch(r'007_left_knee_Present_Position_\d{4}-\d\d-\d\dT\d{6}Z\.csv',
+        assert re.fullmatch(r'robot_007_left_knee_Present_Position_\d{4}-\d\d-\d\dT\d{6}Z\.csv',
                             download.value.suggested_filename)
         see(page, '.legend', r'Present Position.*mean [^/]*, RMS 0\.7\d+, \u03c3 [^/]* of \d+')
         plot = page.locator('.signals canvas')
@@ -417,11 +418,13 @@ def test_signals_at_the_rate_of_the_bus(open_page):
         plot.dblclick()
         see(page, '.signals [aria-pressed=true]', '60 s')
         head, *lines = download.value.path().read_text().splitlines()
-        assert head == ('Unix time (s),007 left_knee Present Position (rad),'
+        assert head == ('time,007 left_knee Present Position (rad),'
                         '007 left_knee Goal Position (rad)')
         cells = [line.split(',') for line in lines]
-        assert [(float(at_s) - 1.7e9, float(value)) for at_s, value, _ in cells if value] == [
-            (pytest.approx(at_s, abs=1e-6), value) for at_s, value in source.points]
+        assert all(re.fullmatch(r'2023-11-14T22:\d\d:\d\d\.\d{6}\+00:00', at) for at, *_ in cells)
+        assert [(datetime.fromisoformat(at).timestamp() - 1.7e9, float(value))
+                for at, value, _ in cells if value] == [
+            (pytest.approx(at_s, abs=1e-5), value) for at_s, value in source.points]
         assert [goal for *_, goal in cells if goal] == ['0.95', '0.99']
         page.get_by_role('button', name='Pause').click()
         source.now_s = 1000.5
@@ -486,7 +489,7 @@ def test_an_arrow_key_moves_the_cursor_by_one_value(open_page):
         for key, at_s in (('ArrowRight', 965.02), ('ArrowRight', 965.04), ('ArrowLeft', 965.02)):
             page.keyboard.press(key)
             wait(lambda at_s=at_s: float(asked(page)['cursor']) == 1.7e9 + at_s)
-            see(page, '.legend', f'Present Position{math.sin(at_s - 940):.4g} rad at .*0.95 rad at')
+            see(page, '.legend', f'Position{math.sin(at_s - 940):.4g} rad at .*0.95 rad at')
         page.keyboard.press('PageDown')
         wait(lambda: float(asked(page)['cursor']) == pytest.approx(1.7e9 + 959.02))
         page.context.close()
@@ -668,7 +671,7 @@ def test_a_plot_has_the_lowest_and_highest_of_each_column(page):
         return [show(false, steady, 0, 10, 10, 10), show(false, silent, 3, 7, 8, 10),
             show(false, [...steady.slice(0, 50), [5, 8]], 4, 6, 8, 5.1),
             show(true, [[1, 1], [3, 2]], 2, 6, 40, 5),
-            csvOf([], ['=1+1', 'a, "b"'], [0, 1], 's', 0)];
+            csvOf([], ['=1+1', 'a, "b"'], [0, 1], 's')];
     }""")
     *drawn, head = drawn
     assert drawn[0][3] == [3, 0, 2, 0]                                  # the last of them is 0
@@ -936,7 +939,11 @@ def test_two_servos_in_one_plot_of_the_history(open_page, tmp_path):
         see(page, '.legend', r'007 left_knee temp.*C at .*001 left_hip_yaw temp.*C at ')
         with page.expect_download() as download:
             page.get_by_role('link', name='values as CSV').click()
+        begins = time.strftime('%Y-%m-%dT%H%M%SZ', time.gmtime(begin + 1500))
+        assert download.value.suggested_filename \
+            == f'robot_007_left_knee_001_left_hip_yaw_values_{begins}.csv'
         saved = download.value.path().read_text()
+        assert ',0.100,0.200,42.000,42.000,' in saved
         assert '007 left_knee' in saved
         assert '001 left_hip_yaw' in saved
         page.locator('.events a', has_text='left_knee').first.click()

@@ -9,6 +9,7 @@ from datetime import timezone
 import json
 import os
 from pathlib import Path
+import re
 import socket
 import sqlite3
 import subprocess
@@ -487,6 +488,8 @@ def test_a_robot_that_failed_at_night(path):
             == pytest.approx(NIGHT + lost_at, abs=60)
         lines = ask(dashboard, 'values', of=SICK, format='csv', **night).splitlines()
         assert len(lines) == 1 + 8 * HOURS / WINDOW_S
+        assert re.fullmatch(r'[\d-]{10}T[\d:]{8}\+00:00,,[^,]+,OK,.?(,(-?\d+\.\d{3})?){18},\w*',
+                            lines[1])
         assert lines[0].startswith('time,robot,name,level,load unit,position min,position max')
         assert SICK in ask(dashboard, 'events', format='csv', **night)
 

@@ -56,6 +56,20 @@ export function clock(unix, now = Date.now() / 1000) {
   return dateTime(now).startsWith(day) ? time : `${day} ${time}`;
 }
 
+/** The time of Unix seconds in files, in UTC: '2026-11-28T14:05:20.250000+00:00'. */
+export function isoTime(unix) {
+  const us = Math.round(1e6 * unix);
+  return `${new Date(Math.floor(us / 1000)).toISOString().slice(0, -1)}${
+    String(us % 1000).padStart(3, '0')}+00:00`;
+}
+
+/** The name of a file, of robot, what and when: 'rover1_values_2026-11-28T140520Z.csv'. */
+export const fileName = (parts, ending) =>
+  `${parts.join('_')}.${ending}`.replace(/[^\w.-]+/g, '_');
+
+/** A time as a part of the name of a file. */
+export const stamp = (unix) => `${isoTime(unix).slice(0, 19).replaceAll(':', '')}Z`;
+
 /** How far the time of this browser is from UTC: '+02:00'. */
 export function offset() {
   const minutes = -new Date().getTimezoneOffset();

@@ -5,7 +5,7 @@
 
 import {EventList, GAP} from './causes.js';
 import {each, h, say, set} from './dom.js';
-import {clock, offset, plural, zone} from './format.js';
+import {clock, fileName, offset, plural, stamp, zone} from './format.js';
 import {HistoryCards, unitOf} from './history_cards.js';
 import {choice, fill, showChosen} from './parts.js';
 import {Pause} from './pause.js';
@@ -58,7 +58,7 @@ export class HistoryPanel {
     this.kinds = choice('Events shown', Object.entries(KINDS), (kind) => this.#only(kind));
     this.pause = new Pause('Events, errors', () => this.update(this.store));
     this.saves = ['csv', 'json'].flatMap((format) => [...of ? ['values'] : [], 'events'].map(
-      (what) => h('a', {class: 'button small', download: `${what}.${format}`, 'data-what': what,
+      (what) => h('a', {class: 'button small', 'data-what': what,
         'data-format': format}, `${what} as ${format.toUpperCase()}`)));
     this.problem = h('p', {class: 'message', role: 'status'});
     this.zone = h('p', {class: 'quiet'});
@@ -211,7 +211,10 @@ export class HistoryPanel {
     const query = this.#query(...range.map((s) => s.toFixed(0)));
     query.delete('zone');
     for (const link of this.saves) {
-      set(link, 'href', `history/${link.dataset.what}?${query}&format=${link.dataset.format}`);
+      const {what, format} = link.dataset;
+      set(link, 'href', `history/${what}?${query}&format=${format}`);
+      set(link, 'download', fileName([this.store.name, ...this.#names.map(nameOf), what,
+        stamp(range[0])], format));
     }
     this.shown = [...events.events, ...gapsOf(events)].sort((a, b) => b[0] - a[0]);
     const isCut = events.events.length >= events.most;

@@ -82,9 +82,10 @@ export class Plot {
 
   /**
    * Show series [{name, unit, note, points: [[s, value or null] or [s, low, high, last], ...],
-   * pointAt, hasDots, isSampled, remove}] up to now (s): a dot for each point where they are far apart,
-   * wherever they are samples; what its button does. All are in one unit, as it is reported.
-   * pointAt(s): see readAt(). With `step` a point [s, low, high] is of so many s: together they are a band.
+   * pointAt, hasDots, isSampled, remove}] up to now (s): a dot for each point where they are far
+   * apart, wherever they are samples; what its button does. All are in one unit, as it is reported.
+   * pointAt: as in readAt(). With `step` a point [s, low, high] is of so many s: together they are
+   * a band.
    * options: `low`, where the scale begins; `limits`, [[name, value], ...]; `gap`, s without a
    * point that break the line; `unix(s)`, the Unix time of a time; `timeOfDay(s)`, a text after
    * it; `zero`, s that are called now; `rest`, s between two moves of the plot.
@@ -141,7 +142,7 @@ export class Plot {
   onZoom = null;               // who shows another time instead, given [from, to]; null: up to now
   isZoomed = false;            // a finger moves the time shown
   bounds = null;               // gives [from, to] that the wheel can reach; null: it scrolls the page
-  next = null;                 // gives where the cursor goes from a time with an arrow key: by 1 or -1
+  next = null;                 // gives where an arrow key leads from a time, by 1 or -1; or null
   onMark = () => {};           // given the time that is marked, or null
   onCursor = () => {};         // given where the cursor is, s before the right edge, or null
 

@@ -215,15 +215,18 @@ class Columns {
   }
 }
 
-/** The points of some signals as CSV: a line for each time, a column for each signal. */
-export function csvOf(signals, names, [from, to], timeName, origin) {
+/**
+ * The points of some signals as CSV: a line for each time, as timeOf(s) writes it, a column for each
+ * signal, its numbers as exact as they are and with a point.
+ */
+export function csvOf(signals, names, [from, to], timeName, timeOf) {
   const lines = [[timeName, ...names].map(cellOf).join()];
   const at = signals.map((signal) => signal.indexOf(from));
   const next = (signal, index) => at[index] < signal.end ? signal.data[at[index]] : Infinity;
   for (;;) {
     const s = Math.min(...signals.map(next));
     if (!(s <= to)) return `${lines.join('\n')}\n`;
-    lines.push([(s + origin).toFixed(6), ...signals.map((signal, index) => {
+    lines.push([timeOf(s), ...signals.map((signal, index) => {
       if (next(signal, index) !== s) return '';
       const value = signal.data[at[index] + 1];
       at[index] += 2;

@@ -4,7 +4,7 @@
 // for each unit, so that goal and present position lie over each other.
 
 import {h, say, set} from './dom.js';
-import {clock, figure, id3, numberOf, splitUnit} from './format.js';
+import {clock, figure, fileName, id3, isoTime, numberOf, splitUnit, stamp} from './format.js';
 import {choice, fill, fillEmpty, showChosen} from './parts.js';
 import {keepFilters, path} from './place.js';
 import {Plot} from './plot.js';
@@ -357,21 +357,17 @@ export class SignalsView {
       one.device === other.device ? splitUnit(other.key)[0] : this.#name(other)}`;
   }
 
-  /** The first register, and when the time shown begins (UTC): files of two choices differ. */
-  #fileName(origin) {
-    const [from] = this.range;
-    const begin = this.store.player ? `${from.toFixed(3)}s`
-      : `${new Date(1000 * (from + origin)).toISOString().slice(0, 19).replaceAll(':', '')}Z`;
-    return `${this.#name(this.signals.all[0])} ${begin}.csv`.replace(/[^\w.-]+/g, '_');
-  }
-
+  /** Named by the first register, and when the time shown begins: files of two choices differ. */
   #save() {
-    const {origin} = this.signals;
-    const all = [...this.signals.all, ...this.differences];
-    const names = all.map((signal) => `${this.#name(signal)}${unitOf(signal.key)}`);
-    const text = csvOf(all, names, this.range,
-      this.store.player ? 'recording (s)' : 'Unix time (s)', origin);
-    const link = h('a', {download: this.#fileName(origin),
+    const {signals: {all, origin}, store} = this;
+    const shown = [...all, ...this.differences];
+    const names = shown.map((signal) => `${this.#name(signal)}${unitOf(signal.key)}`);
+    const [from] = this.range;
+    const text = store.player
+      ? csvOf(shown, names, this.range, 'recording (s)', (s) => s.toFixed(6))
+      : csvOf(shown, names, this.range, 'time', (s) => isoTime(s + origin));
+    const begin = store.player ? `${from.toFixed(3)}s` : stamp(from + origin);
+    const link = h('a', {download: fileName([store.name, this.#name(all[0]), begin], 'csv'),
       href: URL.createObjectURL(new Blob([text], {type: 'text/csv'}))});
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);

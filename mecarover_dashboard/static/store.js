@@ -174,6 +174,9 @@ export class Store {
     return this.robot === null ? all : all.filter((row) => row.robot === this.robot);
   }
 
+  /** What the robot shown is called, in files: by its namespace, or else by its machine. */
+  get name() { return this.robot || this.robots().join('_') || this.facts.machine; }
+
   /** The bridge and the buses of the robot shown, the worst first; none is known while the */
   /** server is not heard. */
   parts(robot = this.robot) {
