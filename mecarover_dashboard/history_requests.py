@@ -3,9 +3,10 @@
 """
 The history over HTTP: /history/values and /history/events, as JSON or CSV, of any time span.
 
-Query: `from`, `to` (as in written_time.py; default the last hour), `zone` of these (+HH:MM;
-default that of this machine), `of` (names of statuses, several; none = all), `robot`,
-`format` = json | csv, `points` (values in JSON: at most about so many of each source).
+Query: `from`, `to` (as in written_time.py; default the last hour), `zone` of these (+HH:MM, then
+the name of a zone, which knows summer time; default that of this machine), `of` (names of
+statuses, several; none = all), `robot`, `format` = json | csv, `points` (values in JSON: at most
+about so many of each source).
 """
 from __future__ import annotations
 
@@ -13,6 +14,7 @@ import asyncio
 from collections.abc import Callable
 from collections.abc import Iterator
 from contextlib import closing
+from contextlib import suppress
 import csv
 from datetime import datetime
 from datetime import timezone
@@ -25,6 +27,7 @@ import re
 import sqlite3
 import time
 from typing import Any
+from zoneinfo import ZoneInfo
 
 from aiohttp import web
 
@@ -146,8 +149,11 @@ def _time(text: str, now_s: float, zone: tzinfo | None, name: str) -> float:
 def _zone(text: str | None) -> tzinfo | None:
     if text is None:
         return None
+    offset, _, name = text.strip().partition(' ')
+    with suppress(LookupError, ValueError, OSError):        # not all machines know each name
+        return ZoneInfo(name)
     try:
-        return datetime.strptime(text.replace(' ', '+'), '%z').tzinfo
+        return datetime.strptime(f'+{offset}' if offset[:1].isdigit() else offset, '%z').tzinfo
     except ValueError:
         raise ValueError(f'zone: {text[:40]!r} is not an offset; write +01:00') from None
 

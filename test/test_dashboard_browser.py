@@ -4,6 +4,7 @@
 from contextlib import closing
 from contextlib import contextmanager
 from datetime import datetime
+from datetime import timezone
 from itertools import pairwise
 from itertools import product
 import math
@@ -887,6 +888,20 @@ def test_times_of_the_history_as_people_write_them(open_page, tmp_path):
         page.goto(f'{dashboard.address}#/history?last=7200')        # a link of before
         see(page, '.events summary', '007 left_knee')
         page.context.close()
+
+
+def test_the_zone_of_a_history_is_that_of_its_time(open_page, tmp_path):
+    with recorded(tmp_path) as (dashboard, _):
+        for month, offset in ((7, 2), (12, 1)):
+            at_s = int(datetime(2025, month, 1, 12, tzinfo=timezone.utc).timestamp())
+            page = open_page(f'{dashboard.address}#/history?from={at_s - 600}&to={at_s}',
+                             timezone_id='Europe/Berlin')
+            see(page, '.past', rf'Times here: Europe/Berlin, UTC\+0{offset}:00')
+        page.get_by_label('From', exact=True).fill('2025-07-01T12:00')
+        page.keyboard.press('Enter')
+        wait(lambda: datetime.fromtimestamp(int(asked(page)['from']), timezone.utc).hour == 10)
+        for context in page.context.browser.contexts:
+            context.close()
 
 
 def test_one_slider_moves_cards_plots_and_events(open_page, tmp_path):

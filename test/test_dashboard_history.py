@@ -561,6 +561,16 @@ def test_a_time_without_a_zone_is_of_this_machine(monkeypatch):
         time.tzset()
 
 
+@pytest.mark.parametrize(('zone', 'hour'), [
+    ('+01:00 Europe/Berlin', 10), ('+01:00 Nowhere/Berlin', 11), ('+01:00 ../localtime', 11)])
+def test_a_time_before_a_change_of_summer_time_is_that_of_its_day(path, writer, zone, hour):
+    """What is written has the offset of its own day, not that of today."""
+    with Dashboard(history=path) as dashboard:
+        answer = json.loads(ask(dashboard, 'events', zone=zone, **{
+            'from': '2026-07-01T12:00', 'to': '2026-07-01T12:30'}))
+        assert answer['from'] == datetime(2026, 7, 1, hour, tzinfo=timezone.utc).timestamp()
+
+
 def test_a_question_has_the_time_zone_of_who_asks(path, writer):
     at = int(time.time()) // 60 * 60
     asked = datetime.fromtimestamp(at, timezone(timedelta(hours=-9, minutes=-30)))

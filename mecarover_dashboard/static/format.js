@@ -70,16 +70,17 @@ export const fileName = (parts, ending) =>
 /** A time as a part of the name of a file. */
 export const stamp = (unix) => `${isoTime(unix).slice(0, 19).replaceAll(':', '')}Z`;
 
-/** How far the time of this browser is from UTC: '+02:00'. */
-export function offset() {
-  const minutes = -new Date().getTimezoneOffset();
+/** How far the time of this browser is from UTC, at a Unix time: '+02:00'. */
+export function offset(unix = Date.now() / 1000) {
+  const minutes = -new Date(1000 * unix).getTimezoneOffset();
   const two = (value) => String(Math.floor(Math.abs(value))).padStart(2, '0');
   return `${minutes < 0 ? '-' : '+'}${two(minutes / 60)}:${two(minutes % 60)}`;
 }
 
-/** The time zone of this browser: 'Europe/Berlin, UTC+02:00'. */
-export const zone = () => `${Intl.DateTimeFormat().resolvedOptions().timeZone}, `
-  + `UTC${offset().replace('-', '\u2212')}`;
+export const zoneName = () => Intl.DateTimeFormat().resolvedOptions().timeZone;
+
+/** The time zone of this browser at a Unix time: 'Europe/Berlin, UTC+02:00'. */
+export const zone = (unix) => `${zoneName()}, UTC${offset(unix).replace('-', '\u2212')}`;
 
 /** Text from a topic inside a sentence of ours: its writing direction ends where it ends. */
 export function isolate(text) {

@@ -5,7 +5,7 @@
 
 import {EventList, GAP} from './causes.js';
 import {each, h, say, set} from './dom.js';
-import {clock, fileName, offset, plural, stamp, zone} from './format.js';
+import {clock, fileName, offset, plural, stamp, zone, zoneName} from './format.js';
 import {HistoryCards, unitOf} from './history_cards.js';
 import {choice, fill, showChosen} from './parts.js';
 import {Pause} from './pause.js';
@@ -162,7 +162,7 @@ export class HistoryPanel {
   }
 
   #query(from, to) {
-    const query = new URLSearchParams({from, zone: offset(), ...to && {to}});
+    const query = new URLSearchParams({from, zone: `${offset()} ${zoneName()}`, ...to && {to}});
     for (const name of this.#names) query.append('of', name);
     if (!this.of && this.store.robot !== null) query.set('robot', this.store.robot);
     return query;
@@ -305,7 +305,7 @@ export class HistoryPanel {
   #showEvents() {
     const {at} = this;
     say(this.zone, `${at === null ? '' : `Events up to ${clock(at, this.now)}. `}Times here: ${
-      zone()}. Times in the files: UTC.`);
+      zone(at ?? this.#range?.[1])}. Times in the files: UTC.`);
     const fits = ([, , , kind]) => !this.kind || kind === this.kind || kind === GAP
       || (this.kind === 'finding' && kind === 'over');
     this.events.update((this.shown ?? []).filter(fits), this.now, at ?? Infinity);
