@@ -178,10 +178,10 @@ def _bus(node: str, bus: str, row: Row, devices: list[Row]) -> RobotPart:
         level, found = _judged(level_of(row), message, devices, live)
     well = '' if found else _well(devices, message)
     rules = {text: spelt(rule) for rule, text, _ in row['findings']}
-    count, mark = _mark(found, rules)
+    count, mark = _mark(found, rules, len(devices))
     prefix = bus if bus or since is None else node.rpartition('/')[2]
     general = [one.text for one in found if not one.devices]
-    number, sick = _mark([one for one in found if one.devices], rules)
+    number, sick = _mark([one for one in found if one.devices], rules, len(devices))
     headline = '; '.join(filter(None, (
         *general, f'{number} problems: {sick}' if number > 1 else sick)))
     return RobotPart(
@@ -193,7 +193,7 @@ def _bus(node: str, bus: str, row: Row, devices: list[Row]) -> RobotPart:
         general[0] if general else '', count, since, live, len(devices))
 
 
-def _mark(found: list[_Problem], rules: Mapping[str, str]) -> tuple[int, str]:
+def _mark(found: list[_Problem], rules: Mapping[str, str], total: int) -> tuple[int, str]:
     """Return how many problems there are, and '007 silent; noise'; rules: names of texts."""
     ids: dict[str, list[str]] = {}
     for one in found:
@@ -203,7 +203,7 @@ def _mark(found: list[_Problem], rules: Mapping[str, str]) -> tuple[int, str]:
         for device in one.devices:
             ids.setdefault(_trouble(device), []).append(f'{device["id"]:03}')
     return sum(map(len, ids.values())), '; '.join(
-        f'{_list(some)} {word}'.strip() for word, some in ids.items())
+        f'{_list(some, total)} {word}'.strip() for word, some in ids.items())
 
 
 def _trouble(row: Row) -> str:
@@ -221,7 +221,9 @@ def _beginning(text: str) -> str:
     return shorten(re.split('[:;(]', text, maxsplit=1)[0], _BEGINNING_MAX, placeholder=' \u2026')
 
 
-def _list(names: list[str]) -> str:
+def _list(names: list[str], total: int) -> str:
+    if _MOST_NAMED < len(names) == total:
+        return f'all {total}'
     more = f' and {len(names) - _MOST_NAMED} more' if len(names) > _MOST_NAMED else ''
     return ', '.join(names[:_MOST_NAMED]) + more
 
@@ -246,11 +248,12 @@ def _judged(of_all: Level, message: str, devices: list[Row],
         lost, sick = ([one for one in some if any(severity == 'error' and text not in message
                                                   for _, text, severity in one['findings'])]
                       for some in (lost, sick))
-    found += [_Problem(word, f'{word.capitalize()}: {_names(some)}', some)
+    found += [_Problem(word, f'{word.capitalize()}: {_names(some, len(devices))}', some)
               for word, some in ((LOST, lost), (FAULT, sick)) if some]
     if not found:
         some, word = [one for one in devices if level_of(one) is level], _LEVEL_WORDS[level]
-        found = [_Problem(word, f'{word.capitalize()}: {_names(some)}' if some else message, some)]
+        found = [_Problem(word, f'{word.capitalize()}: {_names(some, len(devices))}' if some
+                          else message, some)]
     return level, found
 
 
@@ -294,8 +297,8 @@ def _bridge(node: str, rows: dict[str, Row]) -> RobotPart:
                      text, of_part=text, number=bool(mark), since=since)
 
 
-def _names(some: list[Row]) -> str:
-    names = _list([device_name(one) for one in some])
+def _names(some: list[Row], total: int) -> str:
+    names = _list([device_name(one) for one in some], total)
     if len(some) == 1:
         return f'{names}, {some[0]["message"]}'
     found = next((one for one in some if one['findings']), None)

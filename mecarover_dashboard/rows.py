@@ -28,7 +28,7 @@ from msg_defs.diagnostics import PORT_CLOSED
 Row = dict[str, Any]
 
 HEAD = 32                          # pairs in front of the table: facts, counters, findings
-_LISTED = (keys.FINDING, keys.SEVERITY, keys.ERROR, keys.DOUBT, keys.DEVICE_PROBLEM)
+_LISTED = (keys.FINDING, keys.SEVERITY, keys.COVERS, keys.ERROR, keys.DOUBT, keys.DEVICE_PROBLEM)
 _NAMING = 3                         # Model, Firmware Version, State
 _ASIDE = (keys.RUNNING, keys.PART)      # keys of a bus shown elsewhere, or nowhere
 _LEVELS = frozenset(Level)
@@ -175,6 +175,7 @@ def _bus(status: AnyStatus, rest: str) -> Row:
                    if not pair[0].startswith(_LISTED) and pair[0] not in _ASIDE],
         'findings': _findings(pairs),
         'doubts': _findings(pairs, keys.DOUBT),
+        'covers': _covered(pairs),
     }
 
 
@@ -198,6 +199,14 @@ def _findings(pairs: Pairs,
     found = ((key.removeprefix(prefix), value) for key, value in pairs if key.startswith(prefix))
     return [(rule, text, 'error' if severities.get(rule) == 'error' else 'warn')
             for rule, text in found]
+
+
+def _covered(pairs: Pairs) -> dict[int, tuple[str, str]]:
+    """Return (severity, rule) of what the bus has, by ID of each device that suffers from it."""
+    severities = {rule: severity for rule, _, severity in _findings(pairs)}
+    return {natural(one): (severities.get(rule, 'warn'), rule)
+            for key, ids in pairs if key.startswith(keys.COVERS)
+            for rule in [key.removeprefix(keys.COVERS)] for one in ids.split(', ')}
 
 
 def errors(status: AnyStatus, arrived_s: float, before: Row) -> Row:

@@ -142,6 +142,19 @@ def test_a_lost_device_does_not_hide_another_with_an_error(robot):
                          'Error: 008 right_knee, 009 left_ankle_pitch')
 
 
+def test_all_devices_are_called_all(robot):
+    robot.warned = {number for number, *_ in robot.buses['']}
+    part = told(robot).parts()[0]
+    assert (part.mark, part.text) == ('all 24 12 of 310 answers missed', 'Warning: all 24')
+
+
+def test_which_devices_suffer_from_what_a_bus_has_is_in_its_row(robot):
+    robot.findings = [Finding('brown_out', Level.ERROR, None, 'all restarted', covers=(1, 20))]
+    bus = told(robot).changes(0)['buses']['dxl_monitor: bus']
+    assert bus['covers'] == {1: ('error', 'brown_out'), 20: ('error', 'brown_out')}
+    assert not any('covers' in key for key, _ in bus['values'])
+
+
 def test_what_is_after_a_broken_cable_is_no_problem_of_its_own(robot):
     robot.lost = {7, 8, 9}
     part = told(robot).parts()[0]

@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The list of events, grouped by cause: how often, when first and last; opened, each of them.
 
-import {each, h, icon, say, set, showState} from './dom.js';
+import {each, h, icon, say, sayWords, set, showState} from './dom.js';
 import {clock, list, plural} from './format.js';
 import {LEVELS, worst} from './store.js';
 
@@ -123,7 +123,7 @@ export class EventList {
     showState(item.firstChild.firstChild, cause.state);
     say(time, clock(cause.begin, this.now));
     say(who, list(cause.who));
-    say(text, cause.text);
+    sayWords(text, cause.text);
     say(often, this.#lengthOf(cause));
     this.#showOpen(item);
   }
@@ -150,7 +150,7 @@ export class EventList {
     set(link, 'href', name && this.hrefOf(at, name));
     link.hidden = !name;
     say(link, nameOf(name));
-    say(words, spelt(event));
+    sayWords(words, spelt(event));
     say(often, length);
   }
 }

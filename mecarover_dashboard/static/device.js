@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // View 3: one device: every observed field, what was missed, a plot of any field that is a number.
 
-import {each, h, icon, say, set, showState} from './dom.js';
+import {each, h, icon, say, sayWords, set, showState} from './dom.js';
 import {ErrorList, errorsOf} from './errors.js';
 import {Fields} from './fields.js';
 import {id3, numberOf, splitUnit} from './format.js';
@@ -122,7 +122,7 @@ export class DeviceView {
     const state = stateOf(device);
     showState(this.badge, state);
     say(this.badge.lastChild, device ? wordOf(device) : 'not known');
-    say(this.message, device ? sentence(device, this.store.now()) : '');
+    sayWords(this.message, device ? sentence(device, this.store.now()) : '');
     set(this.message, 'data-state', state === 'ok' ? null : state);
     this.message.hidden = !this.message.textContent;
     say(this.heading, device ? deviceName(device) : this.name);

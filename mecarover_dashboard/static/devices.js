@@ -4,7 +4,7 @@
 // search and a choice by state.
 
 import {DeviceTable, ORDERS} from './table.js';
-import {each, h, icon, say, set, showState} from './dom.js';
+import {each, h, icon, say, sayWords, set, showState} from './dom.js';
 import {id3, plural} from './format.js';
 import {choice, fillEmpty, showChosen, showCrumbs} from './parts.js';
 import {Pause} from './pause.js';
@@ -117,7 +117,7 @@ function makeGroup() {
 function updateGroup(element, group, several) {
   const [heading, grid] = element.children;
   heading.hidden = !several;
-  say(heading, `bus ${group.label}, ${plural(group.devices.length, 'device')}`);
+  say(heading, `Bus ${group.label}, ${plural(group.devices.length, 'device')}`);
   each(grid, group.devices, (device) => device.name, makeDevice, updateDevice);
 }
 
@@ -134,6 +134,6 @@ function updateDevice(item, device) {
   say(id, id3(device.id));
   say(joint, device.joint || device.model);
   const isOld = isQuiet(device);
-  say(text, isOld ? wordOf(device) : device.message);
+  sayWords(text, isOld ? wordOf(device) : device.message);
   say(figures, isOld ? '' : answersOf(device));
 }

@@ -30,6 +30,15 @@ export function say(element, text) {
   return true;
 }
 
+/** As say(), of a sentence: what it has between backticks is shown as code. */
+export function sayWords(element, text) {
+  if (element.words === text) return;
+  element.words = text;
+  const parts = text.split('`');
+  element.replaceChildren(...parts.length % 2
+    ? parts.map((part, at) => at % 2 ? h('code', {}, part) : part) : [text]);
+}
+
 const SVG = 'http://www.w3.org/2000/svg';
 
 /** Make an SVG element. */

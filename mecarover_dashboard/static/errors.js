@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The last errors of buses, merged by time: a list that can be stopped, because it moves.
 
-import {each, h, say, set} from './dom.js';
+import {each, h, say, sayWords, set} from './dom.js';
 import {clock} from './format.js';
 import {path} from './place.js';
 import {deviceName} from './store.js';
@@ -64,6 +64,6 @@ export class ErrorList {
     link.hidden = !hasLink;
     set(link, 'href', hasLink ? path('device', device.name) : null);
     say(link, hasLink ? deviceName(device) : '');
-    say(words, this.several ? `${bus}: ${text}` : text);
+    sayWords(words, this.several ? `${bus}: ${text}` : text);
   }
 }

@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // View 8: a finding: what the doctor sees, and what to do; its row of docs/doctor.md.
 
-import {h, set} from './dom.js';
+import {h, sayWords, set} from './dom.js';
 import {showCrumbs} from './parts.js';
 import {path} from './place.js';
 import {RULES} from './rules.js';
@@ -16,13 +16,19 @@ export class FindingView {
     this.crumbs = h('nav', {class: 'crumbs', ariaLabel: 'Place'});
     const [seen, remedy] = isExplained(rule) ? RULES[rule] : ['This version does not know it.', ''];
     this.element = h('div', {}, this.crumbs, h('h1', {tabindex: -1}, this.title),
-      h('section', {class: 'panel columns remedy'}, h('div', {}, h('h2', {}, 'Seen'), h('p', {}, seen)),
-        h('div', {}, h('h2', {}, 'What to do'), h('p', {}, remedy))));
+      h('section', {class: 'panel columns remedy'}, h('div', {}, h('h2', {}, 'Seen'), sentence(seen)),
+        h('div', {}, h('h2', {}, 'What to do'), sentence(remedy))));
   }
 
   update() {
     showCrumbs(this.crumbs, [['Overview', path()], ['Log', path('log')], [this.title, null]]);
   }
+}
+
+function sentence(text) {
+  const element = h('p');
+  sayWords(element, text);
+  return element;
 }
 
 /** A button that leads to what to do about a finding. */

@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What the doctor found about buses and their devices: a list that can be stopped.
 
-import {each, h, icon, say, set, showState} from './dom.js';
+import {each, h, icon, say, sayWords, set, showState} from './dom.js';
 import {clock} from './format.js';
 import {makeRemedy, showRemedy, spelt} from './finding.js';
 import {panel} from './parts.js';
@@ -63,7 +63,7 @@ export function showFinding(item, [rule, message, severity], old = '') {
   showState(item, severity);
   set(item, 'data-old', old !== '');
   say(item.children[1], spelt(rule));
-  say(item.children[2], old ? `${message} (${old})` : message);
+  sayWords(item.children[2], old ? `${message} (${old})` : message);
   showRemedy(item.lastChild.firstChild, rule);
 }
 

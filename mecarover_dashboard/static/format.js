@@ -95,10 +95,14 @@ export function short(text, digits = 4) {
   return Number.isFinite(value) ? figure(value, digits) : text;
 }
 
-/** 'a, b, c and 4 more'. */
-export function list(names, most = 4) {
-  if (names.length <= most) return names.join(', ');
-  return `${names.slice(0, most).join(', ')} and ${names.length - most} more`;
+const MOST_NAMED = 4;
+
+/** 'a, b, c, d and 4 more'; 'all 8' where there are no others. */
+export function list(names, all = Infinity) {
+  const more = names.length - MOST_NAMED;
+  if (more <= 0) return names.join(', ');
+  return names.length >= all ? `all ${all}`
+    : `${names.slice(0, MOST_NAMED).join(', ')} and ${more} more`;
 }
 
 export const plural = (count, word) => `${count} ${word}${count === 1 ? '' : 's'}`;

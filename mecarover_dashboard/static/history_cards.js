@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What the devices and buses of a robot were at a time of the history: a card each, the worst first.
 
-import {each, h, icon, say, set, showState} from './dom.js';
+import {each, h, icon, say, sayWords, set, showState} from './dom.js';
 import {clock} from './format.js';
 import {written} from './plot.js';
 import {LEVELS, WORDS, worstFirst} from './store.js';
@@ -47,7 +47,7 @@ function cardOf(name, source) {
     const [s, low, high] = points.at(-1) ?? [];
     if (s !== last) return [];
     const [unit, factor] = shownIn(unitOf(key, source));
-    return [{name: key.replaceAll('_', ' '),
+    return [{name: key[0].toUpperCase() + key.slice(1).replaceAll('_', ' '),
       text: written({value: {low: factor * low, high: factor * high}, unit})}];
   });
   return {name, state: LEVELS[level] ?? 'stale', values};
@@ -61,7 +61,7 @@ function showCard(item, {state, values}, words) {
   const [head, text, lines] = item.firstChild.children;
   set(item.firstChild, 'data-state', state);
   showState(head, state);
-  say(text, words);
+  sayWords(text, words);
   text.hidden = !words;
   each(lines, values, ({name}) => name,
     ({name}) => h('p', {class: 'measure'}, h('span', {}, name), h('span')),

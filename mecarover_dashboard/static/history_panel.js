@@ -20,8 +20,8 @@ const AGAIN_S = 20;            // how old the newest values may become
 const LEAST_S = 60;
 const AROUND_S = 120;          // so much before and after an event its link shows
 const LATEST_S = 20;           // cards show what was recorded in so many s before their time
-const STEP_S = 10;             // of what is recorded
-const STEPS = 600;             // of values that are shown; the slider has the same
+const STEP_S = 10;             // the server keeps a value for each
+const STEPS = 600;             // at most, in the plots and on the slider
 const MOST_BESIDE = 3;         // a plot has four kinds of lines
 
 /** Whether a text is a time before now, or now. */

@@ -3,7 +3,7 @@
 // View 4: the figures of the thesis per bus, its load, a plot of any of them, findings, errors.
 
 import {makeFact} from './bridge.js';
-import {each, h, icon, say, set, showState} from './dom.js';
+import {each, h, icon, say, sayWords, set, showState} from './dom.js';
 import {ErrorList, errorsOf} from './errors.js';
 import {FindingList, makeFinding, showFinding} from './findings.js';
 import {numberOf, short} from './format.js';
@@ -30,7 +30,7 @@ export class LogView {
     this.empty = h('div', {class: 'empty'});
     this.load = h('div', {class: 'gauge', role: 'meter', ariaLabel: 'Bus load',
       'aria-valuemin': 0, 'aria-valuemax': 100},
-    h('b'), h('span', {class: 'gauge-bar'}, h('i')), h('span', {class: 'quiet'}, 'bus load'));
+    h('b'), h('span', {class: 'gauge-bar'}, h('i')), h('span', {class: 'quiet'}, 'Bus load'));
     this.rows = h('tbody');
     this.counters = h('tbody');
     this.doubts = h('ul', {class: 'findings doubts'});
@@ -109,7 +109,7 @@ export class LogView {
     showState(this.status, state);
     const text = group.part.is_known ? row?.message ?? 'no status of the bus yet'
       : store.said(group.part);
-    say(this.status.lastChild, text);
+    sayWords(this.status.lastChild, text);
     this.status.hidden = Boolean(row?.findings.some(([, finding]) => finding === text));
     set(this.body, 'data-known', String(group.part.is_known));
     this.findings.update([group], store);

@@ -5,7 +5,7 @@
 import {BridgeView} from './bridge.js';
 import {DeviceView} from './device.js';
 import {Devices} from './devices.js';
-import {say, set, showState} from './dom.js';
+import {say, sayWords, set, showState} from './dom.js';
 import {FindingView} from './finding.js';
 import {dateTime, figure, plural, zone} from './format.js';
 import {HistoryView} from './history.js';
@@ -156,7 +156,7 @@ function showHeadline(wrong, text) {
   set(headline, 'href', path());
   showState(headline, wrong[0].state);
   set(headline, 'data-known', String(wrong[0].is_known));
-  say(headline.lastChild, text);
+  sayWords(headline.lastChild, text);
 }
 
 /** The tab says what is wrong, too: somebody may look at another one. */
@@ -171,7 +171,7 @@ function showTitle(wrong, headline) {
 function announce(wrong, isAny) {
   const key = wrong.map((part) => part.key).join();
   if (key !== announce.last && announce.last !== undefined) {
-    say(at('said'), wrong.map((part) => withRobot(part, `${part.name}: ${part.text}`)).join('. ')
+    sayWords(at('said'), wrong.map((part) => withRobot(part, `${part.name}: ${part.text}`)).join('. ')
       || (isAny ? 'No problem now' : ''));
   }
   announce.last = key;

@@ -4,15 +4,15 @@
 // with a problem, a tile per model.
 
 import {OverviewSidebar} from './overview_sidebar.js';
-import {each, h, icon, say, set, showState} from './dom.js';
+import {each, h, icon, say, sayWords, set, showState} from './dom.js';
 import {makeRemedy, showRemedy} from './finding.js';
 import {id3, isolate, list, short} from './format.js';
 import {path} from './place.js';
 import {fillEmpty} from './parts.js';
 import {Pause} from './pause.js';
 import {showServos, sizeOf} from './servos.js';
-import {byUrgency, countOf, deviceName, isLost, isQuiet, stateOf, valueOf, WORDS, worst, worstFirst}
-  from './store.js';
+import {byUrgency, cardStateOf, countOf, deviceName, isLost, isQuiet, stateOf, valueOf, WORDS, worst,
+  worstFirst} from './store.js';
 
 const CUT = 'broken_cable';      // what is after it is lost with it
 const MOST_ALERTS = 8;
@@ -56,7 +56,8 @@ export class Overview {
 }
 
 const makeBar = (href) => h('a', {class: 'bar', href}, icon('ok'), h('span', {class: 'bar-text'}),
-  h('span', {class: 'bar-bus'}), h('b', {class: 'bar-count'}), h('span', {class: 'unseen'}));
+  h('span', {class: 'bar-bus'}), h('b', {class: 'bar-count'}), h('span', {class: 'bar-of'}),
+  h('span', {class: 'unseen'}));
 
 function showBridge(element, {state, is_known: isKnown}, text) {
   const bar = element.firstChild;
@@ -64,7 +65,7 @@ function showBridge(element, {state, is_known: isKnown}, text) {
   showState(bar, state);
   set(bar, 'data-known', String(isKnown));
   set(bar, 'data-bridge', true);
-  say(bar.children[1], text);
+  sayWords(bar.children[1], text);
   say(bar.children[2], 'Bridge');
   say(bar.lastChild, WORDS[state]);
 }
@@ -81,13 +82,13 @@ function updateBus(element, group, store, isPaused) {
   const [bar, remedies, strip, , , tiles, line] = element.children;
   const total = group.devices.length;
   const {is_known: isKnown} = group.part;
-  const count = countOf(group.devices, group.part);
   showState(bar, group.state);
   set(bar, 'data-known', String(isKnown));
-  say(bar.children[1], group.text);
-  say(bar.children[2], group.bus ? `bus ${group.bus}` : '');
-  say(bar.children[3], `${count}/${total}`);
-  say(bar.lastChild, ` devices connected. ${WORDS[group.state]}`);
+  sayWords(bar.children[1], group.text);
+  say(bar.children[2], group.bus ? `Bus ${group.bus}` : '');
+  say(bar.children[3], `${countOf(group.devices, group.part)} of ${total}`);
+  say(bar.children[4], ` ${total === 1 ? 'device answers' : 'devices answer'}`);
+  say(bar.lastChild, `. ${WORDS[group.state]}`);
   each(remedies, rulesOf(group), (rule) => rule, makeRemedy, (button, rule) => {
     showRemedy(button, rule);
     say(button, button.ariaLabel);
@@ -128,7 +129,7 @@ const makeCell = (device) =>
   h('a', {class: 'cell', tabindex: -1, href: path('device', device.name)});
 
 function updateCell(cell, device) {
-  set(cell, 'data-state', stateOf(device));
+  set(cell, 'data-state', cardStateOf(device));
   set(cell, 'title', deviceName(device));
   say(cell, String(device.id));
 }
@@ -159,7 +160,7 @@ function alertOf(group, {state, message, isCut, devices}) {
   const isMany = devices.length > 1;
   return {state, message: isolate(message), key: `${first.name} ${isMany}`, devices,
     isShared: isCut || (isMany && (state !== 'error' || !group.part.live)),
-    names: list(devices.map(isMany ? ({id}) => id3(id) : deviceName)),
+    names: list(devices.map(isMany ? ({id}) => id3(id) : deviceName), group.devices.length),
     href: isMany ? path('devices', group.key) : path('device', first.name)};
 }
 
@@ -183,7 +184,7 @@ function updateAlert(item, alert) {
   const text = item.firstChild.lastChild;
   showState(item.firstChild, alert.state);
   say(text.firstChild, alert.names);
-  say(text.lastChild, alert.message);
+  sayWords(text.lastChild, alert.message);
 }
 
 function makeTile(group, model) {
@@ -203,12 +204,12 @@ function updateTile(tile, model) {
   say(tile.children[4], !part.is_known ? 'not known' : problems || 'connected');
 }
 
-/** Port and rates; what is not heard now has no rates. */
-function busLine({row, part}) {
+/** Port and rates; what is not heard now has no rates, and none of 0 denies what is wrong. */
+function busLine({row, part, state}) {
   if (!row) return '';
   const rate = (key, unit) => {
     const value = valueOf(row, key);
-    return value ? `${short(value, 3)} ${unit}` : null;
+    return value && (value !== '0' || state === 'ok') ? `${short(value, 3)} ${unit}` : null;
   };
   return [valueOf(row, 'Port'), rate('Baud (bit/s)', 'Bd'),
     part.is_known && rate('packets (1/s)', 'packets/s'),

@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // View 0: all robots of the domain, a card each: its worst, the bridge, its buses.
 
-import {each, h, icon, say, set, showState} from './dom.js';
+import {each, h, icon, say, sayWords, set, showState} from './dom.js';
 import {plural} from './format.js';
 import {pathOfRobot} from './place.js';
 import {countOf, robotName, WORDS, worst, worstFirst} from './store.js';
@@ -26,7 +26,7 @@ export class Robots {
 function robotOf(store, name) {
   store.show(name);
   const counts = new Map(store.groups().map(({key, devices, part}) =>
-    [key, `${countOf(devices, part)}/${devices.length} `]));
+    [key, `${countOf(devices, part)} of ${devices.length} answer; `]));
   const lines = store.parts().map((part) => {
     const count = counts.get(`${part.node}/${part.bus}`) ?? '';
     const of = part.bus === '' ? '' : `${part.bus ?? 'Bridge'}: `;
@@ -54,6 +54,6 @@ function updateCard(item, robot) {
   each(lines, robot.lines, ([key]) => key, () => h('li', {}, icon('ok'), h('span')),
     (line, [, state, text]) => {
       showState(line, state);
-      say(line.lastChild, text);
+      sayWords(line.lastChild, text);
     });
 }

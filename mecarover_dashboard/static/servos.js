@@ -4,10 +4,11 @@
 // temperature, voltage; of a board its model and how it answers. A bar needs a scale: what the
 // device itself says, or else the usual one.
 
-import {each, h, icon, say, set, showState} from './dom.js';
+import {each, h, icon, say, sayWords, set, showState} from './dom.js';
 import {clock, id3, numberOf, short} from './format.js';
+import {spelt} from './finding.js';
 import {path} from './place.js';
-import {isQuiet, saysMore, stateOf, wordOf} from './store.js';
+import {cardStateOf, isQuiet, saysMore, stateOf, wordOf} from './store.js';
 import {positionText} from './units.js';
 
 const FEW = 8;                 // as many as a small display has room for
@@ -63,7 +64,7 @@ export const answersOf = ({loss, latency}) => [loss && loss !== '0' && `loss ${s
 function showServo(item, device, store, instead) {
   const values = store.valuesOf(device);
   const [head, text, about, ...lines] = item.firstChild.children;
-  const state = stateOf(device);
+  const state = cardStateOf(device);
   set(item.firstChild, 'data-state', state);
   showState(head, state);
   say(head.children[1], id3(device.id));
@@ -71,8 +72,9 @@ function showServo(item, device, store, instead) {
   const isSick = state !== 'ok';
   text.hidden = !isSick || instead === '';
   const word = isQuiet(device)
-    ? `${wordOf(device)} since ${clock(store.wall(device.quiet_since))}` : wordOf(device);
-  if (isSick) say(text, instead ?? (saysMore(device) ? device.message : word));
+    ? `${wordOf(device)} since ${clock(store.wall(device.quiet_since))}`
+    : stateOf(device) === 'ok' && isSick ? spelt(device.cause[1]) : wordOf(device);
+  if (isSick) sayWords(text, instead ?? (saysMore(device) ? device.message : word));
   set(item, 'data-sick', isSick);
   const isKnown = (name) => Number.isFinite(numberOf(values[name]));
   about.hidden = isKnown('position') || !device.live;

@@ -27,6 +27,9 @@ export const worst = (states) => states.reduce((a, b) => worstFirst(a, b) > 0 ? 
 export const isQuiet = (row) => row?.quiet_since !== undefined;
 export const stateOf = (row) => !row || isQuiet(row) ? 'stale' : LEVELS[row.level] ?? 'stale';
 export const byUrgency = (a, b) => worstFirst(stateOf(a), stateOf(b)) || a.id - b.id;
+/** The state of a device on its card: what its bus has may be trouble of its own. */
+export const cardStateOf = (device) =>
+  isQuiet(device) ? 'stale' : worst([stateOf(device), device.cause?.[0] ?? 'ok']);
 export const isLost = (device) => stateOf(device) === 'error' && AWAY.has(device.state);
 export const deviceName = (device) =>
   device.joint ? `${id3(device.id)} ${isolate(device.joint)}` : id3(device.id);
@@ -233,6 +236,7 @@ function sum(group) {
   devices.sort((a, b) => a.id - b.id || (a.name < b.name ? -1 : 1));
   group.label = group.bus || valueOf(group.row, 'Port')?.split('/').pop() || group.node;
   group.lost = devices.filter(isLost);
+  for (const device of devices) device.cause = part.is_known ? group.row?.covers[device.id] : null;
   group.models = [...byModel(devices)]
     .map(([model, some]) => ({model, devices: some, part, state: worst(some.map(stateOf))}))
     .sort((a, b) => b.devices.length - a.devices.length || (a.model < b.model ? -1 : 1));

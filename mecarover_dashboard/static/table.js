@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Devices as a table of values: the worst first, or by any column.
 
-import {each, h, icon, say, set, showState} from './dom.js';
+import {each, h, icon, say, sayWords, set, showState} from './dom.js';
 import {FIGURES} from './figures.js';
 import {id3, isolate, numberOf, short} from './format.js';
 import {path} from './place.js';
@@ -143,7 +143,7 @@ function updateRow(row, {device, bus, values}) {
     const cell = row.children[at];
     if (name === 'state') {
       showState(cell.firstChild, state);
-      say(cell.firstChild.lastChild, isQuiet(device) ? wordOf(device) : device.message);
+      sayWords(cell.firstChild.lastChild, isQuiet(device) ? wordOf(device) : device.message);
     } else if (name === 'id') {
       say(cell.firstChild.firstChild, id3(device.id));
       say(cell.firstChild.lastChild, isolate(device.joint) + (bus ? ` (${bus})` : ''));

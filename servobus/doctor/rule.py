@@ -143,9 +143,11 @@ def all_ids(numbers: Iterable[int]) -> str:
     return ', '.join(_ids(numbers))
 
 
-def first_ids(numbers: Iterable[int], most: int = 6) -> str:
-    """Spell IDs: '003, 004 and 9 more'."""
+def first_ids(numbers: Iterable[int], most: int = 6, total: int = 0) -> str:
+    """Spell IDs: '003, 004 and 9 more', or 'all 11' where that is the total."""
     ids = _ids(numbers)
+    if most < len(ids) == total:
+        return f'all {total}'
     more = f' and {len(ids) - most} more' if len(ids) > most else ''
     return ', '.join(ids[:most]) + more
 
