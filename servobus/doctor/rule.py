@@ -146,9 +146,10 @@ def all_ids(numbers: Iterable[int]) -> str:
 def first_ids(numbers: Iterable[int], most: int = 6, total: int = 0) -> str:
     """Spell IDs: '003, 004 and 9 more', or 'all 11' where that is the total."""
     ids = _ids(numbers)
-    if most < len(ids) == total:
+    count = len(ids)
+    if most < count == total:
         return f'all {total}'
-    more = f' and {len(ids) - most} more' if len(ids) > most else ''
+    more = f' and {count - most} more' if count > most else ''
     return ', '.join(ids[:most]) + more
 
 

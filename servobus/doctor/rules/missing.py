@@ -90,18 +90,18 @@ def brown_out(case: Case) -> Claims:
                      if number != last.device and device.window.not_served and not device.alert
                      and _supply_proof(case, other := replace(last, device=number))]
     ids = sorted({one.device for one in together})
-    who = first_ids(ids, 2, len(case.by_id))
     restarts = [proof for one in together if (proof := _restart_proof(case, one))]
     proofs = restarts or [proof for one in together if (proof := _supply_dip(case, one.device))]
     if len(ids) > 1 and proofs:
         what = f'restarted together ({proofs[0]}): the supply failed' if restarts else \
             f'were silent together, and their supply fell ({proofs[0]})'
-        yield Claim(f'{who} {what}; check battery and cables, set up again',
+        yield Claim(f'{first_ids(ids, 2, len(case.by_id))} {what}; check battery and '
+                    'cables, set up again',
                     {'devices': all_ids(ids), 'seen by': proofs[0]}, covers=tuple(ids))
     elif _was_with_all(case, last, ids):
-        yield Claim(f'{who} were silent together for {last.detail.ms} ms: the '
-                    'supply or the first cable failed for a moment; check both, and whether '
-                    'torque and settings are as before',
+        yield Claim(f'{first_ids(ids, 2, len(case.by_id))} were silent together for '
+                    f'{last.detail.ms} ms: the supply or the first cable failed for a moment; '
+                    'check both, and whether torque and settings are as before',
                     {'devices': all_ids(ids)}, Level.WARN, covers=tuple(ids))
 
 
