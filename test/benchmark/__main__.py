@@ -18,7 +18,7 @@ from servobus.tools.cli import run_tool
 
 # Each is a module with run(options) -> list of figures.
 PLAIN = ('parsing', 'parsing_1', 'library', 'usb', 'tap', 'node_cost', 'bridge',
-         'start_up', 'dashboard')
+         'start_up', 'dashboard', 'page')
 RIGS = {'soak': 'rigs'}     # in another folder than this one
 ALONE = ('thesis', 'soak')      # run when asked for by an option of that name
 NEEDS_ROS = ('node_cost', 'bridge', 'start_up', 'dashboard', *ALONE)
