@@ -248,10 +248,10 @@ def diagnostics() -> str:
         '`Complaint 2` ...\n',
         '## `dxl_monitor: bus [NAME]`\n', *_keys(bus, BUS),
         'After `State`: `finding.RULE` and `severity.RULE` (`warn` or `error`) for each '
-        '[finding](doctor.md) about the bus, and `device ID`, what is wrong with the worst five. '
-        'Last: counters of the driver; `cannot tell.RULE`, why a rule cannot be judged. On '
-        '`dxl/diagnostics` only: `Running for (s)`, and the last 50 errors, `error 00` (the '
-        'newest) to `error 49`, in seconds since start.\n',
+        '[finding](doctor.md) about the bus, `covers.RULE`, the devices that suffer from it, and '
+        '`device ID`, what is wrong with the worst five. Last: counters of the driver; `cannot '
+        'tell.RULE`, why a rule cannot be judged. On `dxl/diagnostics` only: `Running for (s)`, '
+        'and the last 50 errors, `error 00` (the newest) to `error 49`, in seconds since start.\n',
         '## `dxl_monitor: [BUS/]ID [JOINT]`\n', *_keys(device, DEVICE),
         'Then `finding.RULE` and `severity.RULE`. On `/diagnostics` temperature and input '
         'voltage; on `dxl/diagnostics` every register seen, `Present Position (rad)` = `1.5708`; '
