@@ -29,6 +29,7 @@ Row = dict[str, Any]
 
 HEAD = 32                          # pairs in front of the table: facts, counters, findings
 _LISTED = (keys.FINDING, keys.SEVERITY, keys.COVERS, keys.ERROR, keys.DOUBT, keys.DEVICE_PROBLEM)
+_ID_MAX = 253
 _NAMING = 3                         # Model, Firmware Version, State
 _ASIDE = (keys.RUNNING, keys.PART)      # keys of a bus shown elsewhere, or nowhere
 _LEVELS = frozenset(Level)
@@ -204,9 +205,16 @@ def _findings(pairs: Pairs,
 def _covered(pairs: Pairs) -> dict[int, tuple[str, str]]:
     """Return (severity, rule) of what the bus has, by ID of each device that suffers from it."""
     severities = {rule: severity for rule, _, severity in _findings(pairs)}
-    return {natural(one): (severities.get(rule, 'warn'), rule)
-            for key, ids in pairs if key.startswith(keys.COVERS)
-            for rule in [key.removeprefix(keys.COVERS)] for one in ids.split(', ')}
+    return {number: (severities.get(rule, 'warn'), rule)
+            for key, spans in pairs if key.startswith(keys.COVERS)
+            for rule in [key.removeprefix(keys.COVERS)] for number in _ids(spans)}
+
+
+def _ids(spans: str) -> Iterator[int]:
+    """Read '001-018, 020'."""
+    for span in spans.split(', '):
+        first, _, last = span.partition('-')
+        yield from range(natural(first), min(natural(last or first), _ID_MAX) + 1)
 
 
 def errors(status: AnyStatus, arrived_s: float, before: Row) -> Row:

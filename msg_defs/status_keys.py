@@ -55,7 +55,7 @@ PART = 'part'
 # What such a key begins with.
 FINDING = 'finding.'               # then the rule
 SEVERITY = 'severity.'             # then the rule: warn or error
-COVERS = 'covers.'                 # then the rule, of a bus: IDs of devices that suffer from it
+COVERS = 'covers.'                 # then the rule: the devices that suffer, '001-018, 020'
 DOUBT = 'cannot tell.'             # then the rule
 DEVICE_PROBLEM = 'device '         # in the status of the bus; then its name
 ERROR = 'error '                   # then a number: an entry of the error log

@@ -95,7 +95,7 @@ def bus_status(node: str, bus: str, report: BusReport, port: PortState,
         keys.STATE: PORT_CLOSED if port.problem else PORT_OPEN,
     })
     values += _findings(one for one in report.findings if one.device is None)
-    values += [(keys.COVERS + one.rule, ', '.join(f'{number:03}' for number in one.covers))
+    values += [(keys.COVERS + one.rule, ', '.join(spans(one.covers, '{:03}')))
                for one in report.findings if one.device is None and one.covers]
     if not port.problem:
         values += _sick(report.devices)
