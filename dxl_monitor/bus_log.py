@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from msg_defs.diagnostics import Level
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_S
 from servobus.bus.report import BusReport
 from servobus.bus.report import CONNECTED
 from servobus.bus.report import DeviceReport

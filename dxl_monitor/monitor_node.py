@@ -23,7 +23,7 @@ from dxl_monitor.bus_log import BusLog
 from dxl_monitor.monitor_settings import make_recorders
 from dxl_monitor.monitor_settings import PARAMETERS
 from dxl_monitor.timers import Timers
-from mecarover_serial.memory import resident_memory
+from mecarover_serial.resident_memory import resident_memory
 from mecarover_serial.ros_node import declare
 from mecarover_serial.ros_node import GraphCheck
 from mecarover_serial.ros_node import overridable_publisher

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from msg_defs.diagnostics import Pairs
 from msg_defs.diagnostics import Status
-from servobus.plain import printable
+from servobus.printable_text import printable
 
 TEXT_LIMIT = 500            # characters of one text that reach the page
 PAIRS_LIMIT = 4096          # in a status: the longest control table has a few hundred

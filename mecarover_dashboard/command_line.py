@@ -7,7 +7,7 @@ import argparse
 from collections.abc import Sequence
 from importlib.util import find_spec
 
-from mecarover_dashboard.feed import Feed
+from mecarover_dashboard.local_monitor import LocalMonitor
 from mecarover_dashboard.recording_run import RecordingRun
 from mecarover_dashboard.source_run import PortsRun
 from mecarover_dashboard.source_run import ProgramRun
@@ -27,18 +27,18 @@ def is_of_ros(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> bool
 
 
 def make_run(tool: str, options: argparse.Namespace, command: Sequence[str],
-             feed: Feed, at_once: bool = False) -> SourceRun:
+             monitor: LocalMonitor, at_once: bool = False) -> SourceRun:
     """
     Return the run that a command line asks for; raise UsageError, PortError or OSError.
 
     at_once: a recording is not played but heard whole.
     """
     if command:
-        return ProgramRun(tool, command, options, feed)
+        return ProgramRun(tool, command, options, monitor)
     files = [name for name in options.source
              if not name.startswith('/dev/') and not is_port(name)]
     if not files:
-        return PortsRun(tool, options, feed)
+        return PortsRun(tool, options, monitor)
     if len(options.source) > 1:
         raise UsageError(f'{files[0]}: a recording is shown alone; leave out the others')
-    return RecordingRun(tool, options, feed, at_once)
+    return RecordingRun(tool, options, monitor, at_once)

@@ -9,21 +9,21 @@ import sys
 import threading
 import webbrowser
 
-from mecarover_dashboard import serve
+from mecarover_dashboard import ros_server
 from mecarover_dashboard.command_line import is_of_ros
 from mecarover_dashboard.command_line import make_run
-from mecarover_dashboard.feed import conclusion
-from mecarover_dashboard.feed import Feed
+from mecarover_dashboard.local_monitor import conclusion
+from mecarover_dashboard.local_monitor import LocalMonitor
 from mecarover_dashboard.recording_run import RecordingRun
 from servobus.errors import UsageError
+from servobus.tools.bus_options import add_bus_options
+from servobus.tools.bus_options import parse_run
+from servobus.tools.bus_options import RUN
 from servobus.tools.cli import COULD_NOT_RUN
 from servobus.tools.cli import DONE
 from servobus.tools.cli import run_tool
-from servobus.tools.run import add_bus_options
-from servobus.tools.run import parse_run
-from servobus.tools.run import RUN
 
-NAME = serve.NAME
+NAME = ros_server.NAME
 EXAMPLES = """examples:
   dxl_dashboard run -- python my_script.py      a Python program, or any other (Linux: strace)
   dxl_dashboard usb:/dev/ttyUSB0                a program that runs already (Linux, root)
@@ -35,7 +35,7 @@ EXAMPLES = """examples:
 def main() -> int:
     """Run the command; return the exit code."""
     arguments = sys.argv[1:]
-    return serve.main(arguments) if is_of_ros(_parser(), arguments) else run_tool(NAME, _run)
+    return ros_server.main(arguments) if is_of_ros(_parser(), arguments) else run_tool(NAME, _run)
 
 
 def _run(arguments: list[str]) -> int:
@@ -44,14 +44,14 @@ def _run(arguments: list[str]) -> int:
         raise UsageError('SOURCE: none given, and ROS 2 is not sourced; name a port or a '
                          f'recording, or write {NAME} {RUN} -- python my_script.py')
     if not command and len(options.source) == 1 and os.path.isfile(options.source[0]):
-        options.history = options.history or serve.NONE    # its times are not of now
-    feed = Feed(is_for_page=True)
-    run = make_run(NAME, options, command, feed)
+        options.history = options.history or ros_server.NONE    # its times are not of now
+    monitor = LocalMonitor(is_for_page=True)
+    run = make_run(NAME, options, command, monitor)
     player = run if isinstance(run, RecordingRun) else None
-    server = serve.open_server(options, run.words, player, feed)
+    server = ros_server.open_server(options, run.words, player, monitor)
     if server is None:
         return COULD_NOT_RUN
-    feed.out = server.queue_message
+    monitor.out = server.queue_message
     if player is not None:
         player.restart = server.restart
     try:
@@ -74,7 +74,7 @@ def _has_display() -> bool:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = serve.make_parser()
+    parser = ros_server.make_parser()
     parser.epilog = EXAMPLES
     parser.usage = f'{NAME} [options] [SOURCE ...]\n       {NAME} [options] {RUN} -- COMMAND'
     parser.description = ('Web page of servo buses: devices, registers, what is wrong. It never '

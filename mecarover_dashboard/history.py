@@ -19,7 +19,7 @@ import sqlite3
 from typing import NamedTuple
 
 from msg_defs.diagnostics import Level
-from servobus.plain import printable
+from servobus.printable_text import printable
 
 VERSION = 1
 WINDOW_S = 10

@@ -11,13 +11,13 @@ import time
 from mecarover_dashboard import terminal
 from mecarover_dashboard.command_line import is_of_ros
 from mecarover_dashboard.command_line import make_run
-from mecarover_dashboard.feed import conclusion
-from mecarover_dashboard.feed import Feed
+from mecarover_dashboard.local_monitor import conclusion
+from mecarover_dashboard.local_monitor import LocalMonitor
 from mecarover_dashboard.state import State
 from servobus.errors import UsageError
+from servobus.tools.bus_options import add_bus_options
+from servobus.tools.bus_options import refuse_run_word
 from servobus.tools.cli import run_tool
-from servobus.tools.run import add_bus_options
-from servobus.tools.run import refuse_run_word
 
 NAME = terminal.NAME
 
@@ -38,9 +38,9 @@ def _run(arguments: list[str]) -> int:
     if os.path.isfile(options.source) and (options.json or not sys.stdout.isatty()):
         options.once = True                    # to play it is for a person
     options.source = [options.source]
-    feed, state = Feed(), State()
-    feed.out = lambda topic, statuses: state.store_message(topic, statuses, time.monotonic())
-    run = make_run(NAME, options, (), feed, at_once=options.once)
+    monitor, state = LocalMonitor(), State()
+    monitor.out = lambda topic, statuses: state.store_message(topic, statuses, time.monotonic())
+    run = make_run(NAME, options, (), monitor, at_once=options.once)
     display = terminal.Display(state, options, f'{run.words}: nothing heard; dxl_doctor says why')
     run.start()
     try:

@@ -15,15 +15,15 @@ import threading
 import time
 from typing import Any
 
-from mecarover_dashboard.feed import Feed
+from mecarover_dashboard.local_monitor import LocalMonitor
 from mecarover_dashboard.source_run import SourceRun
 from mecarover_dashboard.source_run import TURN_S
 from msg_defs.diagnostics import Level
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_S
 from servobus.examination import Examination
 from servobus.examination import LONGEST_PAUSE_NS
 from servobus.examination import REPORT_NS
-from servobus.sources import silence
+from servobus.sources import silence_reasons
 from servobus.sources.opening import open_file
 from servobus.sources.source import File
 from servobus.tools.doctor.verdict import make_verdict
@@ -44,8 +44,9 @@ class RecordingRun(SourceRun):
     | all others | the thread that plays |
     """
 
-    def __init__(self, tool: str, options: argparse.Namespace, feed: Feed, at_once: bool) -> None:
-        super().__init__(tool, options, options.source[0], feed)
+    def __init__(self, tool: str, options: argparse.Namespace, monitor: LocalMonitor,
+                 at_once: bool) -> None:
+        super().__init__(tool, options, options.source[0], monitor)
         self._at_once = at_once
         self._is_on = True
         self._wanted_s: float | None = None
@@ -54,7 +55,7 @@ class RecordingRun(SourceRun):
         self.events: list[tuple[float, int, str]] = []         # s, level, text
         self.length_s = 0.0
         self._begin()
-        feed.begin = self._first = self._now
+        monitor.begin = self._first = self._now
         self.is_timed = self._file.is_timed
 
     def start(self) -> None:
@@ -117,7 +118,7 @@ class RecordingRun(SourceRun):
             self.restart()
             self._file.close()
             self._heard.clear()
-            self._feed.clear()
+            self._monitor.clear()
             self._begin()
         self._forward(stamp)
 
@@ -129,7 +130,7 @@ class RecordingRun(SourceRun):
                 self._judged_until = chunk.stamp
             while chunk.stamp - self._judged_until >= REPORT_NS:
                 self._judged_until += REPORT_NS
-                self._feed.judge_buses(self._judged_until)
+                self._monitor.judge_buses(self._judged_until)
             self._feed_bus(chunk, self._file.wire(chunk.bus))
             self._now = chunk.stamp
             self._next = next(self._chunks, None)
@@ -144,5 +145,5 @@ class RecordingRun(SourceRun):
         self._file.close()
         heard = self._survey
         if heard is None or not heard.bytes:
-            return self._verdict(lambda: silence.of_file(self.words))
+            return self._verdict(lambda: silence_reasons.of_file(self.words))
         return make_verdict(self.words, heard.buses(self.is_timed), heard.seconds, self.is_timed)

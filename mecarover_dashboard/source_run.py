@@ -15,28 +15,28 @@ import shlex
 import sys
 import time
 
-from mecarover_dashboard.feed import Feed
+from mecarover_dashboard.local_monitor import LocalMonitor
 from msg_defs.event import Chunk
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_S
 from servobus.bus.report import BusReport
 from servobus.doctor import OPTIONS
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 from servobus.monitored_bus import MonitoredBus
-from servobus.plain import printable
+from servobus.printable_text import printable
 from servobus.settings import buses
 from servobus.settings import settings_of
-from servobus.sources import silence
+from servobus.sources import silence_reasons
 from servobus.sources.capture import Wire
 from servobus.sources.recorders import Recorders
 from servobus.sources.source_name import rate_of
 from servobus.sources.tap_reader import HOLD_S
 from servobus.status import PortState
+from servobus.tools.bus_options import models_of
 from servobus.tools.doctor.program_source import Program
 from servobus.tools.doctor.program_verdict import program_verdict
 from servobus.tools.doctor.verdict import make_verdict
 from servobus.tools.doctor.verdict import Verdict
-from servobus.tools.run import models_of
 
 TURN_S = 0.1
 
@@ -66,11 +66,12 @@ class SourceRun:
 
     is_timed = True
 
-    def __init__(self, tool: str, options: argparse.Namespace, words: str, feed: Feed) -> None:
+    def __init__(self, tool: str, options: argparse.Namespace, words: str,
+                 monitor: LocalMonitor) -> None:
         self.words = words
         self._tool = tool
         self._options = options
-        self._feed = feed
+        self._monitor = monitor
         self._models = models_of(options)
         self._began_s = time.monotonic()
         self._heard: dict[str, HeardBus] = {}
@@ -82,7 +83,7 @@ class SourceRun:
         """Hand on what comes until the end, or Ctrl-C, or show() says so, called all the time."""
         try:
             for now in self._stamps():
-                self._feed.turn(now)
+                self._monitor.turn(now)
                 if show():
                     break
         except KeyboardInterrupt:
@@ -96,7 +97,7 @@ class SourceRun:
         bus = self._heard.get(chunk.bus)
         if bus is None:
             bus = self._heard[chunk.bus] = HeardBus(wire, self._models, self._options)
-            self._feed.add(bus)
+            self._monitor.add(bus)
         bus.monitor.feed_chunks([chunk])
 
     def end(self) -> Verdict:
@@ -104,7 +105,7 @@ class SourceRun:
         raise NotImplementedError
 
     def _verdict(self, quiet: Callable[[], Sequence[str]]) -> Verdict:
-        found = self._feed.summaries(self.is_timed)
+        found = self._monitor.summaries(self.is_timed)
         is_silent = not any(one.report.counters['Bytes'] for one in found)
         return make_verdict(self.words, found, time.monotonic() - self._began_s, self.is_timed,
                        quiet() if is_silent else ())
@@ -113,8 +114,8 @@ class SourceRun:
 class PortsRun(SourceRun):
     """Ports of this machine, until Ctrl-C; one that is lost is opened again."""
 
-    def __init__(self, tool: str, options: argparse.Namespace, feed: Feed) -> None:
-        super().__init__(tool, options, ', '.join(options.source), feed)
+    def __init__(self, tool: str, options: argparse.Namespace, monitor: LocalMonitor) -> None:
+        super().__init__(tool, options, ', '.join(options.source), monitor)
         given = {'ports': options.source, 'devices': options.devices,
                  'protocols': [options.protocol],
                  'bauds': [rate_of(name, options.baud) for name in options.source]}
@@ -123,7 +124,7 @@ class PortsRun(SourceRun):
 
     def start(self) -> None:
         for bus in self._ports:
-            self._feed.add(bus)
+            self._monitor.add(bus)
             bus.listener.start()
 
     def _stamps(self) -> Iterator[int]:
@@ -135,21 +136,21 @@ class PortsRun(SourceRun):
                     print(f'{self._tool}: {news}', file=sys.stderr)
 
     def end(self) -> Verdict:
-        self._feed.report(time.monotonic_ns())
+        self._monitor.report(time.monotonic_ns())
         states = [bus.listener.state for bus in self._ports]
         closed = [state.text for state in states if not state.is_open]
         for bus in self._ports:
             bus.listener.stop()
         return self._verdict(
-            lambda: closed or silence.reasons(self._options.source[0], is_live=True))
+            lambda: closed or silence_reasons.reasons(self._options.source[0], is_live=True))
 
 
 class ProgramRun(SourceRun):
     """A program that is started, until it ends."""
 
     def __init__(self, tool: str, command: Sequence[str], options: argparse.Namespace,
-                 feed: Feed) -> None:
-        super().__init__(tool, options, shlex.join(command), feed)
+                 monitor: LocalMonitor) -> None:
+        super().__init__(tool, options, shlex.join(command), monitor)
         self._command = command
         self._known = time.monotonic_ns()
 
@@ -171,6 +172,6 @@ class ProgramRun(SourceRun):
         for name, bus in self._heard.items():
             bus.monitor.end(self._known, ending.failed_alone,
                             self._program.users.get(name, ()))
-        self._feed.report(self._known)
-        return program_verdict(self._program, self._feed.summaries(self.is_timed),
+        self._monitor.report(self._known)
+        return program_verdict(self._program, self._monitor.summaries(self.is_timed),
                                time.monotonic() - self._began_s)

@@ -21,7 +21,7 @@ from msg_defs.diagnostics import CONNECTED
 from msg_defs.diagnostics import Level
 from msg_defs.diagnostics import SEVERITY
 from msg_defs.diagnostics import worst
-from servobus.plain import printable
+from servobus.printable_text import printable
 
 HEALTHY, NOTHING, WARNING, FAILED = 0, 1, 3, 4      # exit codes; 2 is wrong usage
 _CODES = {Level.OK: HEALTHY, Level.WARN: WARNING, Level.STALE: WARNING, Level.ERROR: FAILED}

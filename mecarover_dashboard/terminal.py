@@ -27,8 +27,8 @@ from mecarover_dashboard.status_lines import status_lines
 from mecarover_dashboard.status_lines import table
 from mecarover_serial.node_command_line import begin_node
 from mecarover_serial.node_command_line import complain_no_ros
-from servobus.plain import on_screen
-from servobus.plain import plain_streams
+from servobus.printable_text import on_screen
+from servobus.printable_text import plain_streams
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
 

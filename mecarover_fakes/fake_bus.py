@@ -14,12 +14,12 @@ from contextlib import ExitStack
 import json
 import sys
 
+from mecarover_fakes.bus_ptys import FakeBus
 from mecarover_fakes.dxl1_servo import Servo1
 from mecarover_fakes.fake_options import add_options
 from mecarover_fakes.fake_options import hold_signals
 from mecarover_fakes.fake_options import one_signal
 from mecarover_fakes.fake_options import parse_options
-from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.fake_servo import FakeDevice
 from mecarover_fakes.fault_control import commands_from
 from mecarover_fakes.faults import KINDS
@@ -33,7 +33,7 @@ from mecarover_fakes.values import Sine
 from mecarover_fakes.virtual_usb import VirtualUsb
 from msg_defs.dxl1_instruction import DYNAMIXEL_1
 from msg_defs.dxl1_instruction import FEETECH
-from servobus.bus.expected import parse_all
+from servobus.bus.expected_devices import parse_all
 from servobus.errors import ParameterError
 from servobus.errors import UsageError
 from servobus.model.models import Models

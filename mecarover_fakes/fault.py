@@ -98,14 +98,14 @@ class Effect:
 
     def play(self) -> Play:
         """Begin, yield, end; `now` is the time."""
-        parts = [self.play_on(device) for device in self.devices]
+        parts = [self.affect_device(device) for device in self.devices]
         for part in parts:
             next(part)
         yield
         for part in parts:
             next(part, None)
 
-    def play_on(self, device: FakeDevice) -> Play:
+    def affect_device(self, device: FakeDevice) -> Play:
         """Begin, yield, end, of one of `devices`."""
         yield
 

@@ -20,7 +20,7 @@ import threading
 
 from mecarover_fakes.new_socket import new_socket
 from servobus.errors import ParameterError
-from servobus.plain import printable
+from servobus.printable_text import printable
 
 STANDARD_INPUT = '-'
 _LINE_MAX_BYTES = 1000

@@ -18,7 +18,7 @@ from mecarover_fakes.values import Sine
 from mecarover_fakes.values import TEMPERATURE
 from mecarover_fakes.values import VOLTAGE
 from msg_defs.dxl_instruction import Instruction
-from msg_defs.units import NS_PER_MS
+from msg_defs.nanoseconds import NS_PER_MS
 
 DIP_NS = 600 * NS_PER_MS         # low voltage before a brown-out
 BOOT_NS = 400 * NS_PER_MS
@@ -36,7 +36,7 @@ class Silent(Effect):
         """The devices that are cut off."""
         return [self.device]
 
-    def play_on(self, device: FakeDevice) -> Play:
+    def affect_device(self, device: FakeDevice) -> Play:
         device.silent = True
         yield
         device.silent = False
@@ -72,7 +72,7 @@ class Duplicate(Effect):
 class Reboot(Effect):
     """The device starts again by itself."""
 
-    def play_on(self, device: FakeDevice) -> Play:
+    def affect_device(self, device: FakeDevice) -> Play:
         device.restart(self.now, BOOT_NS)
         yield
 
@@ -102,7 +102,7 @@ class Brownout(Effect):
 class Latched(Effect):
     """Overload latched: alert on every status, motor off; the end of the fault is a restart."""
 
-    def play_on(self, device: FakeDevice) -> Play:
+    def affect_device(self, device: FakeDevice) -> Play:
         device.latch(OVERLOAD, self.now)
         yield
         device.restart(self.now)
@@ -111,7 +111,7 @@ class Latched(Effect):
 class ReturnDelay(Effect):
     """Return Delay Time is still the factory's 500 us."""
 
-    def play_on(self, device: FakeDevice) -> Play:
+    def affect_device(self, device: FakeDevice) -> Play:
         device.set('Return Delay Time', FACTORY_DELAY)
         yield
         device.set('Return Delay Time', 0)
@@ -122,7 +122,7 @@ class NoAck(Effect):
 
     level = 1
 
-    def play_on(self, device: FakeDevice) -> Play:
+    def affect_device(self, device: FakeDevice) -> Play:
         device.answer_level(self.level)
         yield
         device.answer_level(2)
@@ -150,7 +150,7 @@ class OldFirmware(Effect):
     protocols = ONLY_2
     every = 5
 
-    def play_on(self, device: FakeDevice) -> Play:
+    def affect_device(self, device: FakeDevice) -> Play:
         device.firmware = OLD_FIRMWARE
         device.set('Firmware Version', OLD_FIRMWARE)
         yield
@@ -176,7 +176,7 @@ class BeyondLimits(Effect, is_fault=False):
 class Hot(BeyondLimits):
     """The motor is warmer than its own limit."""
 
-    def play_on(self, device: FakeDevice) -> Play:
+    def affect_device(self, device: FakeDevice) -> Play:
         device.temperature = device.get('Temperature Limit', 80) + 2.0
         yield
         device.temperature = TEMPERATURE
@@ -185,7 +185,7 @@ class Hot(BeyondLimits):
 class LowVoltage(BeyondLimits):
     """The supply is below the device's own limit."""
 
-    def play_on(self, device: FakeDevice) -> Play:
+    def affect_device(self, device: FakeDevice) -> Play:
         device.voltage = device.get('Min Voltage Limit', 95) / 10 - 0.5
         yield
         device.voltage = VOLTAGE

@@ -16,7 +16,7 @@ from mecarover_fakes.traffic import words
 from mecarover_fakes.traffic import write
 from mecarover_fakes.traffic import write_register
 from msg_defs.dxl_instruction import Instruction
-from msg_defs.units import NS_PER_MS
+from msg_defs.nanoseconds import NS_PER_MS
 
 LATENCY_NS = 16 * NS_PER_MS      # an FTDI adapter as delivered
 RIVAL_PERIOD_NS = 37 * NS_PER_MS

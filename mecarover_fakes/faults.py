@@ -14,17 +14,17 @@ from threading import Lock
 
 from mecarover_fakes import fault_device
 from mecarover_fakes import fault_master
-from mecarover_fakes import fault_settings
+from mecarover_fakes import fault_setup
 from mecarover_fakes import fault_wire
 from mecarover_fakes.fault import Effect
 from mecarover_fakes.fault import Fault
 from mecarover_fakes.fault import FaultScope
 from mecarover_fakes.fault import Play
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_S
 from servobus.errors import did_you_mean
 from servobus.errors import ParameterError
 
-MODULES = (fault_device, fault_master, fault_settings, fault_wire)      # what is in `kinds`
+MODULES = (fault_device, fault_master, fault_setup, fault_wire)      # what is in `kinds`
 KINDS = Effect.kinds
 BACK = 'back'                    # the command that ends faults
 _SECONDS = r'(\d{1,9}(?:\.\d*)?)?'

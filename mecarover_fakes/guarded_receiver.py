@@ -12,7 +12,7 @@ from msg_defs.mcu_report import McuReport
 from msg_defs.mcu_report import RUNNING
 from msg_defs.mcu_report import STOPPED
 from msg_defs.mcu_report import WAITING
-from msg_defs.units import NS_PER_MS
+from msg_defs.nanoseconds import NS_PER_MS
 from msg_defs.vel2d import decode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP

@@ -33,7 +33,7 @@ from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import HEADER
 from msg_defs.dxl_packet import STATUS
-from msg_defs.frame import Frame
+from msg_defs.servo_frame import Frame
 
 MASTER = -1
 STRAY = -2                       # bytes that were not sent on purpose

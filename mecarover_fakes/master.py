@@ -29,7 +29,7 @@ from mecarover_fakes.traffic import Fleet
 from mecarover_fakes.traffic import Pattern
 from mecarover_fakes.traffic import start_up
 from msg_defs.dxl_instruction import Answers
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_S
 
 PATIENCE_NS = 34_000_000         # SDK: two latency timers of 16 ms, and 2 ms
 GAP_NS = 100_000

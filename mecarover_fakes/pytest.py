@@ -15,10 +15,10 @@ from typing import Any
 
 import pytest
 
+from mecarover_fakes.bus_ptys import FakeBus
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_bus import make_line
 from mecarover_fakes.fake_bus import PROTOCOLS
-from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.faults import parse as parse_fault
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS

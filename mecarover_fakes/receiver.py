@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from msg_defs.crc import Checksum
 from msg_defs.crc import crc32_mpeg2
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_S
 from msg_defs.vel2d import decode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import Vel2d

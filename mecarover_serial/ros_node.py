@@ -57,8 +57,8 @@ from mecarover_serial.standard_streams import StandardStreams
 from mecarover_serial.systemd import Systemd
 from servobus.errors import ParameterError
 from servobus.errors import UsageError
-from servobus.plain import printable
 from servobus.port.port_error import PortError
+from servobus.printable_text import printable
 from servobus.tools.cli import complain
 from servobus.tools.cli import DONE
 from servobus.worker import MORE_TASKS

@@ -17,7 +17,7 @@ from math import isfinite
 import re
 from typing import NamedTuple
 
-from msg_defs.timing import Summary
+from msg_defs.running_statistics import Summary
 
 
 class Level(IntEnum):

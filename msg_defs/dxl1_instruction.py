@@ -24,8 +24,8 @@ from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import parse as parse_2
 from msg_defs.dxl_instruction import Request
 from msg_defs.dxl_instruction import RESET_ALL
-from msg_defs.frame import INSTRUCTION_1
-from msg_defs.frame import MALFORMED_1
+from msg_defs.servo_frame import INSTRUCTION_1
+from msg_defs.servo_frame import MALFORMED_1
 
 ADAPTER_IDS = 253, BROADCAST        # USB2AX has an ID of its own, ArbotiX has none
 STATUS_BITS = 0x7F                 # bit 7 of an error byte is always 0: no 0x82, 0x83, 0x92

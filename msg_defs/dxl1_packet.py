@@ -13,12 +13,12 @@ noise.
 """
 
 from msg_defs.dxl_packet import StreamFramer
-from msg_defs.frame import ahead
-from msg_defs.frame import EITHER_1
-from msg_defs.frame import Flaw
-from msg_defs.frame import Frame
-from msg_defs.frame import Frames
-from msg_defs.frame import is_good
+from msg_defs.servo_frame import EITHER_1
+from msg_defs.servo_frame import Flaw
+from msg_defs.servo_frame import Frame
+from msg_defs.servo_frame import Frames
+from msg_defs.servo_frame import good_frame_flaw
+from msg_defs.servo_frame import is_good
 
 HEADER = b'\xff\xff'
 BROADCAST = 0xFE
@@ -108,7 +108,7 @@ class Dxl1Framer(StreamFramer):
     def _flaw(self, data: bytes, done: int, mark: int) -> Flaw:
         """Return what is unusual about a good frame: noise in front of it."""
         self._give_up(data, done, mark)
-        flaw = ahead(False, self.noise_length)
+        flaw = good_frame_flaw(False, self.noise_length)
         self.noise_length = 0
         return flaw
 

@@ -15,22 +15,22 @@ from operator import attrgetter
 from operator import itemgetter
 import re
 
+from msg_defs.dxl1_detector import Candidate
+from msg_defs.dxl1_detector import Detector
 from msg_defs.dxl1_packet import Dxl1Framer
 from msg_defs.dxl1_packet import MAX_FRAME
 from msg_defs.dxl1_packet import MIN_LENGTH
-from msg_defs.dxl1_proof import Candidate
-from msg_defs.dxl1_proof import Detector
 from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import HEADER_TAIL
 from msg_defs.dxl_packet import MAX_LENGTH
 from msg_defs.event import OUT
-from msg_defs.frame import ahead
-from msg_defs.frame import EITHER_1
-from msg_defs.frame import Frame
-from msg_defs.frame import Frames
-from msg_defs.frame import GLITCH
-from msg_defs.frame import is_good
-from msg_defs.frame import UNPROVEN_1
+from msg_defs.servo_frame import EITHER_1
+from msg_defs.servo_frame import Frame
+from msg_defs.servo_frame import Frames
+from msg_defs.servo_frame import GLITCH
+from msg_defs.servo_frame import good_frame_flaw
+from msg_defs.servo_frame import is_good
+from msg_defs.servo_frame import UNPROVEN_1
 
 # FF FF, an ID and a LEN of the 1.0 family; or what the next bytes may complete to that.
 _HOLDS = re.compile(rb'\xff\xff[^\xff][^\0\1]')
@@ -122,7 +122,7 @@ class _BothFramer(Dxl1Framer):
         if two is None:
             self.packets += 1
             return (at, at + len(data), EITHER_1, data[2], data[4], data[5:-1],
-                    ahead(False, noise) if noise else None)
+                    good_frame_flaw(False, noise) if noise else None)
         shift, two.noise_length = at - two.bytes, noise
         [(begin, end, kind, number, code, params, flaw)] = two.frames(data)
         return begin + shift, end + shift, kind, number, code, params, flaw

@@ -19,12 +19,12 @@ from typing import NamedTuple
 from msg_defs.crc import bare_crc16
 from msg_defs.crc import crc16
 from msg_defs.crc import CRC16_TABLE
-from msg_defs.frame import ahead
-from msg_defs.frame import Flaw
-from msg_defs.frame import Frame
-from msg_defs.frame import Frames
-from msg_defs.frame import INSTRUCTION_2
-from msg_defs.frame import IS_STATUS
+from msg_defs.servo_frame import Flaw
+from msg_defs.servo_frame import Frame
+from msg_defs.servo_frame import Frames
+from msg_defs.servo_frame import good_frame_flaw
+from msg_defs.servo_frame import INSTRUCTION_2
+from msg_defs.servo_frame import IS_STATUS
 
 HEADER = b'\xff\xff\xfd\x00'
 BROADCAST = 0xFE
@@ -293,7 +293,7 @@ class Framer(StreamFramer):
         repaired = mark == done or data[mark - 1] != 0xFF
         self.repaired += repaired
         self._give_up(data, done, mark - 1 + (repaired and self.is_shared), True)
-        flaw = ahead(repaired, self.noise_length)
+        flaw = good_frame_flaw(repaired, self.noise_length)
         self.noise_length = 0
         return flaw
 
@@ -323,6 +323,6 @@ def _without_stuffing(frame: Frame) -> Frame:
             or (kind == IS_STATUS and number == BROADCAST):
         return frame
     if kind != IS_STATUS and data.count(_RUN) != data.count(_RUN + b'\xfd'):
-        _, repaired, noise_length, *_ = flaw or ahead(False, 0)
-        flaw = ahead(repaired, noise_length, True)
+        _, repaired, noise_length, *_ = flaw or good_frame_flaw(False, 0)
+        flaw = good_frame_flaw(repaired, noise_length, True)
     return begin, end, kind, number, code, unstuff(data), flaw

@@ -29,6 +29,7 @@ LINE_MODE = 'line_mode'            # what the driver does with bytes, as a sum; 
 HOLDS_LINES = 1                    # that come, until a line ends (ICANON)
 CHANGES_BYTES = 2                  # that come, as 0D to 0A (ICRNL)
 ADDS_RETURNS = 4                   # it sends 0D 0A for 0A (ONLCR)
+HAS_ADDED_RETURN = 8               # in what the master wrote last
 TRACED = 'traced_us'               # what strace took since the master wrote before
 LOST = 'lost'                      # events or bytes that the source itself lost
 CLOSED = 'closed'                  # the master closed its port

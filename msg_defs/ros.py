@@ -35,8 +35,8 @@ from msg_defs.diagnostics import Pairs
 from msg_defs.diagnostics import Status
 from msg_defs.diagnostics import topic_names
 from msg_defs.diagnostics import unit_name
+from msg_defs.running_statistics import WINDOW_S
 from msg_defs.status_keys import PART
-from msg_defs.timing import WINDOW_S
 
 try:
     import statistics_msgs.msg as statistics_msgs

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from msg_defs.event import Change as Change
     from msg_defs.event import Chunk as Chunk
     from servobus.bus.decoder import Settings as Settings
-    from servobus.bus.expected import Expected as Expected
-    from servobus.bus.expected import parse_all as parse_all
+    from servobus.bus.expected_devices import Expected as Expected
+    from servobus.bus.expected_devices import parse_all as parse_all
     from servobus.bus.report import BusReport as BusReport
     from servobus.bus.report import DeviceReport as DeviceReport
     from servobus.bus.report import Finding as Finding
@@ -39,7 +39,7 @@ _HOMES = {
     'Chunk': 'msg_defs.event',
     'ClosedError': 'servobus.errors',
     'DeviceReport': 'servobus.bus.report',
-    'Expected': 'servobus.bus.expected',
+    'Expected': 'servobus.bus.expected_devices',
     'Finding': 'servobus.bus.report',
     'Level': 'msg_defs.diagnostics',
     'Listening': 'servobus.listening',
@@ -54,7 +54,7 @@ _HOMES = {
     'UsageError': 'servobus.errors',
     'listen': 'servobus.listening',
     'open_source': 'servobus.sources.opening',
-    'parse_all': 'servobus.bus.expected',
+    'parse_all': 'servobus.bus.expected_devices',
     'report_data': 'servobus.plain_data',
 }
 __all__ = list(_HOMES)

@@ -10,8 +10,8 @@ from collections import deque
 
 from msg_defs.diagnostics import Metric
 from msg_defs.dxl_packet import REASONS
-from msg_defs.timing import Series
-from msg_defs.timing import WINDOW_S
+from msg_defs.running_statistics import Series
+from msg_defs.running_statistics import WINDOW_S
 from servobus.bus import evidence as ev
 from servobus.bus.decoder import BusDecoder
 

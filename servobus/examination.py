@@ -15,7 +15,7 @@ from typing import Protocol
 
 from msg_defs.diagnostics import Level
 from msg_defs.event import Chunk
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_S
 from servobus.bus.decoder import DEFAULTS
 from servobus.bus.report import BusReport
 from servobus.bus.report import Finding

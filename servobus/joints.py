@@ -19,7 +19,7 @@ POSITION, VELOCITY, CURRENT = 'Present Position', 'Present Velocity', 'Present C
 UNITS = {POSITION: 'rad', VELOCITY: 'rad/s', CURRENT: 'A'}
 
 
-class Joints(NamedTuple):
+class JointReadings(NamedTuple):
     """Joints in order of ID, and the stamp of the newest bytes they come from (0 = none)."""
 
     joints: tuple[Joint, ...]

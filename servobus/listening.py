@@ -27,7 +27,7 @@ from msg_defs.event import IN
 from msg_defs.event import OUT
 from servobus.bus.decoder import DEFAULTS
 from servobus.bus.decoder import PROTOCOL_CHOICES
-from servobus.bus.expected import parse_all
+from servobus.bus.expected_devices import parse_all
 from servobus.bus.report import BusReport
 from servobus.bus.report import FAILED
 from servobus.bus.report import Finding
@@ -42,7 +42,7 @@ from servobus.examination import Examination
 from servobus.model.models import Models
 from servobus.settings import check_devices
 from servobus.settings import check_models
-from servobus.sources import silence
+from servobus.sources import silence_reasons
 from servobus.sources import tap_pyserial
 from servobus.sources.capture import Wire
 from servobus.sources.opening import open_source
@@ -212,7 +212,8 @@ class SourceListening(Listening):
     def _why_unheard(self) -> NothingHeardError | None:
         if self._examination.bytes or not self._has_run:
             return None
-        why = [*self._source.problems(), *silence.reasons(self._name, self._source.is_live)]
+        why = [*self._source.problems(),
+               *silence_reasons.reasons(self._name, self._source.is_live)]
         return NothingHeardError(f'{self._name}: nothing was heard. {" ".join(why)}')
 
 

@@ -41,7 +41,7 @@ from servobus.doctor.case import Names
 from servobus.doctor.case import PARAMETERS
 from servobus.internal_fault import survive
 from servobus.joints import fresh
-from servobus.joints import Joints
+from servobus.joints import JointReadings
 from servobus.model import control_table
 from servobus.model.layers import model_key
 from servobus.model.model_guesses import IMPOSSIBLE_USE
@@ -226,14 +226,15 @@ class Monitor:
         return report._replace(observed=observed,
                                unobserved=len(report.model.fields) - len(observed))
 
-    def joints(self, since: int) -> Joints:
+    def joints(self, since: int) -> JointReadings:
         """Return what was read of joints after the stamp `since`, without a whole report."""
         found = []
         for device in self._by_id():
             with self._lock:
                 if (one := fresh(device, since)) is not None:
                     found.append(one)
-        return Joints(tuple(joint for joint, _ in found), max((at for _, at in found), default=0))
+        return JointReadings(tuple(joint for joint, _ in found),
+                             max((at for _, at in found), default=0))
 
     def _by_id(self) -> list[Device]:
         """Return the devices known now; the lock is free while somebody goes through them."""

@@ -11,10 +11,10 @@ from typing import Any
 from typing import NamedTuple
 
 from servobus.bus.decoder import Settings
-from servobus.bus.expected import Expected
-from servobus.bus.expected import parse_all
-from servobus.bus.expected import refuse_twice
-from servobus.bus.expected import split_bus
+from servobus.bus.expected_devices import Expected
+from servobus.bus.expected_devices import parse_all
+from servobus.bus.expected_devices import refuse_twice
+from servobus.bus.expected_devices import split_bus
 from servobus.errors import ParameterError
 from servobus.model.checked_yaml import ModelError
 from servobus.model.models import Models

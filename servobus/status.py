@@ -29,7 +29,7 @@ from msg_defs.diagnostics import SEVERITY
 from msg_defs.diagnostics import Status
 from msg_defs.diagnostics import status_name
 from msg_defs.diagnostics import worst
-from servobus.bus.expected import spans
+from servobus.bus.expected_devices import spans
 from servobus.bus.report import BusReport
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import Finding
@@ -181,7 +181,7 @@ def _table(device: DeviceReport) -> Pairs:
         if field.in_words:
             values.append((keys.raw(field.name), number(value.raw)))
         seen[field.name] = [round(age_s, 3), source]
-    return [*values, (keys.NOT_OBSERVED, str(device.unobserved)),
+    return [*values, (keys.UNOBSERVED_FIELDS, str(device.unobserved)),
             (keys.OBSERVED, json.dumps(seen, separators=(',', ':')))]
 
 

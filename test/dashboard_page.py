@@ -63,8 +63,8 @@ class Dashboard:
 
     def start(self):
         from mecarover_dashboard.history_recorder import HistoryRecorder
-        from mecarover_dashboard.serve import facts
-        from mecarover_dashboard.serve import listening_socket
+        from mecarover_dashboard.ros_server import facts
+        from mecarover_dashboard.ros_server import listening_socket
         from mecarover_dashboard.web_server import Server
         listener = listening_socket('127.0.0.1', self.port)
         self.port = listener.getsockname()[1]

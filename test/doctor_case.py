@@ -10,7 +10,7 @@ import yaml
 from msg_defs.diagnostics import Level
 from msg_defs.diagnostics import Metric
 from msg_defs.dxl_instruction import Instruction as I
-from msg_defs.timing import Summary
+from msg_defs.running_statistics import Summary
 from servobus.bus import evidence as ev
 from servobus.bus import report as words
 from servobus.bus.report import BusReport

@@ -6,9 +6,9 @@ import time
 
 from harness import wait
 
+from mecarover_fakes.bus_ptys import FakeBus
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_bus import make_line
-from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import none
 from servobus.model.models import Models

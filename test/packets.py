@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from msg_defs.dxl_instruction import Access
 from msg_defs.dxl_packet import packet_of
-from msg_defs.frame import is_good
+from msg_defs.servo_frame import is_good
 from rigs.tables import rows_of
 
 

@@ -27,7 +27,7 @@ from mecarover_dashboard.state import TABLES
 from mecarover_dashboard.status_lines import screen
 from mecarover_dashboard.status_lines import status_lines
 from servobus.bus.decoder import Settings
-from servobus.bus.expected import parse_all
+from servobus.bus.expected_devices import parse_all
 from servobus.monitor import Monitor
 from servobus.status import PortState
 from servobus.status import statuses_of

@@ -17,10 +17,10 @@ from msg_defs.diagnostics import Level
 from msg_defs.diagnostics import Metric
 from msg_defs.diagnostics import metric_status
 from msg_defs.diagnostics import Status
-from msg_defs.timing import Summary
+from msg_defs.running_statistics import Summary
 from servobus.bus import report as words
 from servobus.bus.decoder import Settings
-from servobus.bus.expected import Expected
+from servobus.bus.expected_devices import Expected
 from servobus.bus.report import Counts
 from servobus.bus.report import Error
 from servobus.bus.report import Finding

@@ -19,12 +19,12 @@ from harness import later
 import pytest
 
 from mecarover_fakes.receiver import Receiver
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_S
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
-from vel2d_bridge import watch
+from vel2d_bridge import deadman_process
 from vel2d_bridge.gate import characters_ns
 from vel2d_bridge.gate import Gate
 from vel2d_bridge.gate import GateSettings
@@ -217,7 +217,7 @@ class World:
         acted, self.acted = self.acted, False
         self.beaten = self.now
         wake = self.pacer.turn(self.now, acted)
-        self.wake = max(self.now + 1, min(wake, self.now + watch.BEAT)
+        self.wake = max(self.now + 1, min(wake, self.now + deadman_process.BEAT)
                         + self.chance.randrange(LATE))
 
     def command(self):
@@ -244,13 +244,13 @@ class World:
     def zero(self):
         """Be the dead man: one zero after its gap, on a line that it does not share just now."""
         if self.back_at != NEVER:                    # it looks for the port
-            self.zero_at = self.now + round(watch.STOP_PERIOD_S * NS_PER_S)
+            self.zero_at = self.now + round(deadman_process.STOP_PERIOD_S * NS_PER_S)
             return
         if not self.uart.pending():
             self.acted = True
             self.uart.write(encode(STOP))
-        period = round(watch.STOP_PERIOD_S * NS_PER_S) + watch.GAP_CHARACTERS * (
-            self.mcu.character)
+        period = round(deadman_process.STOP_PERIOD_S * NS_PER_S) \
+            + deadman_process.GAP_CHARACTERS * self.mcu.character
         self.zeros_left -= 1
         is_over = self.pacer is None and self.zeros_left <= 0
         self.zero_at = NEVER if is_over else self.now + period
@@ -260,9 +260,9 @@ class World:
         if not self.awake:
             return
         self.frozen_until = self.now + self.chance.randrange(1500 * MS)
-        if self.frozen_until - self.beaten > watch.SILENCE and not self.is_off_duty:
-            self.zero_at = self.beaten + watch.SILENCE + (
-                watch.GAP_CHARACTERS * self.mcu.character)
+        if self.frozen_until - self.beaten > deadman_process.SILENCE and not self.is_off_duty:
+            self.zero_at = self.beaten + deadman_process.SILENCE + (
+                deadman_process.GAP_CHARACTERS * self.mcu.character)
         self.wake = self.enable_at = NEVER
         self.thaw_at = self.frozen_until
 
@@ -308,8 +308,8 @@ class World:
         self.wake = self.enable_at = self.thaw_at = self.suspend_at = NEVER
         self.frozen_until = self.now
         if not self.is_off_duty:
-            self.zero_at = self.now + watch.GAP_CHARACTERS * self.mcu.character
-        self.zeros_left = watch.STOP_FRAMES
+            self.zero_at = self.now + deadman_process.GAP_CHARACTERS * self.mcu.character
+        self.zeros_left = deadman_process.STOP_FRAMES
         self.restart_at = self.now + NS_PER_S
 
     @property

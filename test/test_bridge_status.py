@@ -14,8 +14,8 @@ from mecarover_fakes.receiver import Receiver
 from msg_defs.crc import crc32_mpeg2
 from msg_defs.crc import crc32_mpeg2_words
 from msg_defs.diagnostics import Level
-from msg_defs.timing import Series
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_S
+from msg_defs.running_statistics import Series
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d

@@ -18,18 +18,18 @@ from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import STATUS
 from msg_defs.event import IN
 from msg_defs.event import OUT
-from msg_defs.frame import EITHER_1
-from msg_defs.frame import Flaw
-from msg_defs.frame import INSTRUCTION_1
-from msg_defs.frame import INSTRUCTION_2
-from msg_defs.frame import IS_STATUS
+from msg_defs.servo_frame import EITHER_1
+from msg_defs.servo_frame import Flaw
+from msg_defs.servo_frame import INSTRUCTION_1
+from msg_defs.servo_frame import INSTRUCTION_2
+from msg_defs.servo_frame import IS_STATUS
 from servobus.bus import evidence as ev
 from servobus.bus import unread
 from servobus.bus.decoder import BusDecoder
 from servobus.bus.device import Device
 from servobus.bus.evidence import Evidence
 from servobus.bus.evidence import text_of
-from servobus.bus.expected import Expected
+from servobus.bus.expected_devices import Expected
 from servobus.bus.id_confirmation import IdConfirmation
 from servobus.bus.instruction_plans import NO_PLAN
 from servobus.bus.instruction_plans import Planner

@@ -15,7 +15,7 @@ from tracked_bus import words
 from msg_defs import status_keys as keys
 from msg_defs.diagnostics import Level
 from servobus.bus.decoder import Settings
-from servobus.bus.expected import Expected
+from servobus.bus.expected_devices import Expected
 from servobus.bus.report import Counts
 from servobus.bus.report import Error
 from servobus.bus.report import Finding

@@ -13,21 +13,21 @@ import pytest
 from msg_defs.event import Change
 from msg_defs.event import Chunk
 from servobus.errors import ParameterError
-from servobus.plain import printable
 from servobus.port.pty import Pty
+from servobus.printable_text import printable
 from servobus.sources.capture import BUSES_MAX
 from servobus.sources.capture import check_new
 from servobus.sources.capture import chunk_line
+from servobus.sources.capture import ClockReading
 from servobus.sources.capture import LINE_MAX_BYTES
 from servobus.sources.capture import lines
-from servobus.sources.capture import Moment
 from servobus.sources.capture import open_new
 from servobus.sources.capture import Reader
 from servobus.sources.capture import Wire
 from servobus.sources.capture import Writer
 from servobus.sources.capture_recorder import Recorder
 
-NOW = Moment(1_790_000_000_123_456_000, 12_345_678_901_234)
+NOW = ClockReading(1_790_000_000_123_456_000, 12_345_678_901_234)
 WIRE = Wire('ttyUSB0', 2_000_000, 1, '/dev/ttyUSB0')
 
 
@@ -123,7 +123,7 @@ def test_a_capture_does_not_make_buses_without_end():
 def test_the_stamps_of_a_second_capture_go_on(wall, boot, after):
     first = written(Chunk(NOW.stamp + 1, 'bus', b'\x01'))
     file = io.BytesIO()
-    Writer(file, Moment(NOW.wall + wall, boot)).write_chunk(
+    Writer(file, ClockReading(NOW.wall + wall, boot)).write_chunk(
         WIRE, Chunk(boot + (2 if wall < 0 else 7), WIRE.name, b'\x02'))
     stamps = [chunk.stamp for chunk in Reader(io.BytesIO(first + file.getvalue()))]
     assert stamps == [NOW.stamp + 1, NOW.stamp + after]

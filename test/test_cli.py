@@ -16,7 +16,7 @@ import pytest
 
 from mecarover_serial.command import COMMANDS
 from mecarover_serial.parameters import split_ros_args
-from servobus.tools.run import BAUD
+from servobus.tools.bus_options import BAUD
 
 EXECUTABLES = Path(__file__).parents[1] / 'resource/executables'
 
@@ -53,7 +53,7 @@ def test_what_stands_outside_ros_args_is_one_line(module, arguments, thing, reme
 @pytest.mark.skipif(sys.platform != 'linux', reason='skipped: ulimit is of Linux')
 @pytest.mark.parametrize('files', later([6, 8, 12], 1))
 @pytest.mark.parametrize('words', [
-    [BRIDGE], [MONITOR], ['mecarover_dashboard.serve', '--port', '0'],
+    [BRIDGE], [MONITOR], ['mecarover_dashboard.ros_server', '--port', '0'],
     ['mecarover_dashboard.terminal', '--once']])
 def test_too_few_files_are_one_line(files, words):
     with Program(*words, prefix=['sh', '-c', f'ulimit -n {files}; exec "$@"', 'sh']) as tool:

@@ -45,7 +45,7 @@ from mecarover_dashboard.history_recorder import HistoryError
 from mecarover_dashboard.history_recorder import HistoryRecorder
 from mecarover_dashboard.history_recorder import HistorySampler
 from mecarover_dashboard.history_recorder import MOST_ERRORS
-from mecarover_dashboard.serve import open_history
+from mecarover_dashboard.ros_server import open_history
 from mecarover_dashboard.state import State
 from mecarover_dashboard.state import TABLES
 from mecarover_dashboard.written_time import unix_time

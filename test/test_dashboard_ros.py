@@ -24,7 +24,7 @@ class Running(Program):
     """A dashboard process on a free port."""
 
     def __init__(self, *arguments):
-        super().__init__('mecarover_dashboard.serve', '--port', '0', '--history', 'none',
+        super().__init__('mecarover_dashboard.ros_server', '--port', '0', '--history', 'none',
                          *arguments)
 
     def __enter__(self):
@@ -126,7 +126,7 @@ def test_signals_end_it_with_code_0(ros, number):
 
 INTERRUPTED = """
 import os, signal, sys
-from mecarover_dashboard import serve
+from mecarover_dashboard import ros_server
 
 class Finder:
     def find_spec(name, *_):

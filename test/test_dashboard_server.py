@@ -349,16 +349,16 @@ def _answers(dashboard):
 
 @pytest.mark.parametrize('more', [(), ('--no-browser',)])
 def test_a_port_in_use_is_one_line_with_a_remedy(more):
-    with Dashboard() as dashboard, \
-            Program('mecarover_dashboard.serve', '--port', str(dashboard.port), *more) as program:
+    with Dashboard() as dashboard, Program(
+            'mecarover_dashboard.ros_server', '--port', str(dashboard.port), *more) as program:
         assert program.exit_code() == 1
     assert program.lines == [f'dxl_dashboard: 127.0.0.1:{dashboard.port}: in use; stop the other '
                              'dashboard, or choose another port with --port']
 
 
 def test_where_the_history_cannot_be_opened_no_address_is_announced(capsys, tmp_path):
-    from mecarover_dashboard.serve import make_parser
-    from mecarover_dashboard.serve import open_server
+    from mecarover_dashboard.ros_server import make_parser
+    from mecarover_dashboard.ros_server import open_server
     (tmp_path / 'file').touch()
     history = str(tmp_path / 'file/history.sqlite')
     assert open_server(make_parser().parse_args(['--port', '0', '--history', history])) is None
@@ -368,7 +368,7 @@ def test_where_the_history_cannot_be_opened_no_address_is_announced(capsys, tmp_
 
 
 def test_opening_to_the_network_is_said():
-    from mecarover_dashboard.serve import announcement
+    from mecarover_dashboard.ros_server import announcement
     assert 'this machine only' in announcement('127.0.0.1', 8420, False)
     text = announcement('0.0.0.0', 8420, True)
     assert 'OPEN TO THE NETWORK' in text

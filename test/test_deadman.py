@@ -26,11 +26,11 @@ from msg_defs.vel2d import STOP
 from rigs.harness import family
 from rigs.harness import is_alive
 from servobus.port.serial_port import open_port
-from vel2d_bridge import watch as watching
-from vel2d_bridge.board import BEATEN
-from vel2d_bridge.board import PortRecord
-from vel2d_bridge.board import SharedBoard
-from vel2d_bridge.watch import Watch
+from vel2d_bridge import deadman_process as watching
+from vel2d_bridge.deadman_process import Watch
+from vel2d_bridge.shared_memory import BEATEN
+from vel2d_bridge.shared_memory import PortRecord
+from vel2d_bridge.shared_memory import SharedBoard
 
 pytestmark = pytest.mark.realtime(bears=0.05)
 PATIENCE_S = 20
@@ -213,7 +213,7 @@ def test_half_of_a_heartbeat_is_not_believed():
 
 UNBORN = """
 from vel2d_bridge.deadman import Deadman
-from vel2d_bridge.board import WATCH
+from vel2d_bridge.shared_memory import WATCH
 
 deadman = Deadman()
 deadman._words[WATCH] = 0            # as if it took longer than the bridge waits for it

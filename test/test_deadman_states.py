@@ -1,7 +1,7 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The dead man in simulated time, through each row of the table of states in vel2d_bridge/watch.py.
+The dead man in simulated time, through each row of the table in vel2d_bridge/deadman_process.py.
 
 Its code runs as it is, with a real board, channel, queue and pty; only the clock is ours.
 """
@@ -15,21 +15,21 @@ import pytest
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import STOP
 from servobus.port.pty import Pty
+from vel2d_bridge import deadman_process as watching
 from vel2d_bridge import lost_port
-from vel2d_bridge import watch as watching
-from vel2d_bridge.board import AWAY
-from vel2d_bridge.board import BEATEN
-from vel2d_bridge.board import GOODBYE
-from vel2d_bridge.board import HELD
-from vel2d_bridge.board import OWED
-from vel2d_bridge.board import PortRecord
-from vel2d_bridge.board import SharedBoard
 from vel2d_bridge.claim import PortClaim
-from vel2d_bridge.watch import SEARCH_S
-from vel2d_bridge.watch import SILENCE
-from vel2d_bridge.watch import STOP_FRAMES
-from vel2d_bridge.watch import STOP_PERIOD_S
-from vel2d_bridge.watch import Watch
+from vel2d_bridge.deadman_process import SEARCH_S
+from vel2d_bridge.deadman_process import SILENCE
+from vel2d_bridge.deadman_process import STOP_FRAMES
+from vel2d_bridge.deadman_process import STOP_PERIOD_S
+from vel2d_bridge.deadman_process import Watch
+from vel2d_bridge.shared_memory import AWAY
+from vel2d_bridge.shared_memory import BEATEN
+from vel2d_bridge.shared_memory import GOODBYE
+from vel2d_bridge.shared_memory import HELD
+from vel2d_bridge.shared_memory import OWED
+from vel2d_bridge.shared_memory import PortRecord
+from vel2d_bridge.shared_memory import SharedBoard
 
 TABLE = [tuple(cell.strip() for cell in row.split('|'))
          for row in re.findall(r'^\| (?!state \|)(.*) \|$', watching.__doc__, re.MULTILINE)]

@@ -21,7 +21,7 @@ from msg_defs.diagnostics import status_name
 from msg_defs.diagnostics import topic_names
 from msg_defs.diagnostics import worst
 from msg_defs.diagnostics import worst_first
-from msg_defs.timing import Series
+from msg_defs.running_statistics import Series
 
 ROWS = yaml.safe_load(
     Path(__file__).with_name('spelt_numbers.yaml').read_text(encoding='utf-8'))

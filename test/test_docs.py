@@ -292,7 +292,7 @@ def test_policy_allows_what_a_running_node_uses_and_little_more(
 @pytest.mark.ros
 @pytest.mark.realtime(bears=0.5)
 @pytest.mark.parametrize('node, program', [
-    ('dxl_dashboard', ('mecarover_dashboard.serve', '--port', '0')),
+    ('dxl_dashboard', ('mecarover_dashboard.ros_server', '--port', '0')),
     ('mecarover_status', ('mecarover_dashboard.terminal',))])
 def test_policy_allows_what_a_running_listener_uses(graph, node, program):
     publish, subscribe, reply = policy(node)

@@ -41,7 +41,7 @@ from msg_defs.dxl_packet import STATUS
 from msg_defs.event import Chunk
 from servobus.model.models import Models
 from servobus.port.pty import Pty
-from servobus.sources.capture import Moment
+from servobus.sources.capture import ClockReading
 from servobus.sources.capture import Reader
 from servobus.sources.capture import Wire
 from servobus.sources.capture import Writer
@@ -92,7 +92,7 @@ def objects(*arguments, **options):
 
 def capture(path, chunks, bus='bus'):
     with open(path, 'wb') as file:
-        writer = Writer(file, Moment(1_790_000_000 * SECOND, SECOND))
+        writer = Writer(file, ClockReading(1_790_000_000 * SECOND, SECOND))
         for data, stamp in chunks:
             writer.write_chunk(Wire(bus, BAUD), Chunk(stamp, bus, data))
     return path
@@ -338,7 +338,7 @@ def test_summary_counts_missed_answers_but_not_what_is_pending_at_the_end():
 def test_two_buses_in_one_capture(tmp_path):
     path = tmp_path / 'two.txt'
     with open(path, 'wb') as file:
-        writer = Writer(file, Moment(SECOND, SECOND))
+        writer = Writer(file, ClockReading(SECOND, SECOND))
         for number in range(4):
             for bus, device in (('left', 1), ('right', 2)):
                 writer.write_chunk(Wire(bus, BAUD),

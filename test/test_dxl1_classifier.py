@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 import pytest
 import yaml
 
+from msg_defs.dxl1_detector import Detector
 from msg_defs.dxl1_packet import encode
-from msg_defs.dxl1_proof import Detector
 from msg_defs.dxl_mixed import ALONE_PACKETS
 from msg_defs.dxl_mixed import MixedFramer
 from msg_defs.dxl_packet import encode as encode_2
@@ -20,12 +20,12 @@ from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import STATUS
 from msg_defs.event import IN
 from msg_defs.event import OUT
-from msg_defs.frame import EITHER_1
-from msg_defs.frame import is_good
+from msg_defs.servo_frame import EITHER_1
+from msg_defs.servo_frame import is_good
 from servobus.bus.decoder import Settings
 from servobus.bus.dxl1_classifier import MEANINGS_KEPT
-from servobus.bus.expected import Expected
-from servobus.bus.expected import parse_all
+from servobus.bus.expected_devices import Expected
+from servobus.bus.expected_devices import parse_all
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 

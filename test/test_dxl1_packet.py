@@ -14,8 +14,8 @@ from msg_defs.dxl1_packet import Dxl1Framer
 from msg_defs.dxl1_packet import encode
 from msg_defs.dxl1_packet import HEADER
 from msg_defs.dxl1_packet import MAX_FRAME
-from msg_defs.frame import EITHER_1
-from msg_defs.frame import is_good
+from msg_defs.servo_frame import EITHER_1
+from msg_defs.servo_frame import is_good
 
 # As published: the e-Manual (Protocol 1.0) and Feetech's protocol text. ID, code, parameters.
 VECTORS = {

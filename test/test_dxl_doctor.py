@@ -45,14 +45,14 @@ from servobus.doctor import RULES
 from servobus.examination import Examination
 from servobus.model.models import Models
 from servobus.port.pty import Pty
-from servobus.sources import silence
-from servobus.sources.capture import Moment
+from servobus.sources import silence_reasons
+from servobus.sources.capture import ClockReading
 from servobus.sources.capture import Reader
 from servobus.sources.capture import Wire
 from servobus.sources.capture import Writer
+from servobus.tools.doctor import computer_facts
 from servobus.tools.doctor import explain
 from servobus.tools.doctor import issue_report
-from servobus.tools.doctor import machine
 from servobus.tools.doctor.answer_screen import screen
 from servobus.tools.doctor.error_window import ErrorWindow
 from servobus.tools.doctor.program_source import Ending
@@ -90,13 +90,13 @@ def said(chunks, devices=DEVICES, is_timed=True, wire=WIRE):
     for chunk in chunks:
         examination.feed_chunk(chunk, wire)
     examination.finish(examination.last, is_over=True)
-    why = [] if examination.bytes else silence.of_file('bus.txt')
+    why = [] if examination.bytes else silence_reasons.of_file('bus.txt')
     return make_verdict('bus.txt', examination.buses(is_timed), examination.seconds, is_timed, why)
 
 
 def capture(path, *faults, seconds=6.0):
     with path.open('wb') as file:
-        writer = Writer(file, Moment(1_790_000_000 * SECOND, SECOND))
+        writer = Writer(file, ClockReading(1_790_000_000 * SECOND, SECOND))
         for chunk in heard(*faults, seconds=seconds):
             writer.write_chunk(WIRE, Chunk(chunk.stamp, WIRE.name, chunk.data))
     return path
@@ -825,18 +825,18 @@ BY_ID = '/dev/serial/by-id/usb-FTDI_USB__-__Serial_Converter_FT4THVAB-if00-port0
     ('/dev/pts/3', 'pts/3'), ('COM3', 'COM3'), (BY_ID, 'a port'), ('/dev/FT4THVAB', 'a port'),
     ('/dev/cu.usbserial-FT4THVAB', 'a port'), ('/dev/ttyFT4THVAB', 'a port')])
 def test_the_name_of_a_port_in_a_report_has_no_serial_number(port, name):
-    assert machine.plain_name(port, False) == name
-    assert machine.plain_name(f'usb:{port}', False) == f'usb:{name}'
-    assert machine.adapters([port], False)[0].startswith(f'{name}: ')
+    assert computer_facts.plain_name(port, False) == name
+    assert computer_facts.plain_name(f'usb:{port}', False) == f'usb:{name}'
+    assert computer_facts.adapters([port], False)[0].startswith(f'{name}: ')
 
 
 def test_a_report_names_the_port_that_a_link_leads_to(tmp_path, monkeypatch):
     link = tmp_path / 'usb-FTDI_FT4THVAB'
     link.symlink_to('/dev/pts/3')
-    monkeypatch.setattr(machine, 'port_of', lambda source: source)      # as if below /dev
-    assert machine.plain_name(str(link), False) == 'pts/3'
+    monkeypatch.setattr(computer_facts, 'port_of', lambda source: source)      # as if below /dev
+    assert computer_facts.plain_name(str(link), False) == 'pts/3'
     link.unlink()
-    assert machine.plain_name(str(link), False) == 'a port'
+    assert computer_facts.plain_name(str(link), False) == 'a port'
 
 
 def test_the_devices_of_a_report_are_of_its_buses(tmp_path):
@@ -857,7 +857,7 @@ def test_the_devices_of_a_report_are_of_its_buses(tmp_path):
     ("pos/speed/load, 1/fps: b'\\xff\\xfd'", "pos/speed/load, 1/fps: b'\\xff\\xfd'"),
     (f'on {socket.gethostname()}', 'on ...')])
 def test_the_error_of_a_program_in_a_report_names_nobody(text, plain):
-    assert machine.plain_text(text) == plain
+    assert computer_facts.plain_text(text) == plain
 
 
 @pytest.mark.realtime(bears=0.02)

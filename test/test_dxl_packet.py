@@ -20,9 +20,9 @@ from msg_defs.dxl_packet import MAX_FRAME
 from msg_defs.dxl_packet import STATUS
 from msg_defs.dxl_packet import stuff
 from msg_defs.dxl_packet import unstuff
-from msg_defs.frame import Flaw
-from msg_defs.frame import INSTRUCTION_2
-from msg_defs.frame import is_good
+from msg_defs.servo_frame import Flaw
+from msg_defs.servo_frame import INSTRUCTION_2
+from msg_defs.servo_frame import is_good
 
 DATA = Path(__file__).parents[2] / 'shared' / 'data'
 VECTORS = DATA / 'dxl_vectors.json'

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from servobus.bus.expected import Expected
-from servobus.bus.expected import parse
-from servobus.bus.expected import parse_all
-from servobus.bus.expected import split_bus
+from servobus.bus.expected_devices import Expected
+from servobus.bus.expected_devices import parse
+from servobus.bus.expected_devices import parse_all
+from servobus.bus.expected_devices import split_bus
 from servobus.errors import ParameterError
 
 

@@ -21,11 +21,11 @@ import pytest
 from whole_truth import LEARNING
 from whole_truth import WholeTruth
 
+from mecarover_fakes.bus_ptys import FakeBus
 from mecarover_fakes.fake_bus import DEFAULT_DEVICES
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_bus import make_line
 from mecarover_fakes.fake_options import Away
-from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.fault import Fault
 from mecarover_fakes.faults import KINDS
 from mecarover_fakes.faults import parse as parse_fault

@@ -26,8 +26,8 @@ import pytest
 
 from benchmark import confusion
 from benchmark.confusion_cases import Scene
-from mecarover_dashboard.feed import conclusion
-from mecarover_dashboard.feed import Feed
+from mecarover_dashboard.local_monitor import conclusion
+from mecarover_dashboard.local_monitor import Feed
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_bus import make_line
 from mecarover_fakes.faults import parse
@@ -35,7 +35,7 @@ from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
 from msg_defs.diagnostics import Level
 from msg_defs.event import Chunk
-from servobus.sources.capture import Moment
+from servobus.sources.capture import ClockReading
 from servobus.sources.capture import Wire
 from servobus.sources.capture import Writer
 from servobus.tools.doctor.verdict import OpenPoint
@@ -248,7 +248,7 @@ def test_the_same_rows_in_a_terminal(tmp_path):
 def test_a_recording_whose_name_is_not_utf_8(tmp_path):
     capture = os.fsdecode(os.fsencode(tmp_path) + b'/arm_\xff.txt')
     with open(capture, 'wb') as file:
-        Writer(file, Moment(10**12, 10**12)).write_chunk(
+        Writer(file, ClockReading(10**12, 10**12)).write_chunk(
             Wire('arm', 10**6), Chunk(10**12, 'arm', bytes.fromhex('ffff010281007b')))
     with dashboard(capture) as program:
         first = next(events(program))
@@ -282,7 +282,7 @@ def test_a_recording_is_played_stopped_and_moved(tmp_path):
                      'feetech', waits_in_line=False)
     master = Master(line, PATTERNS['moving'], rate=30.0, faults=[parse('silent:3:20')])
     with open(capture, 'wb') as file:
-        writer = Writer(file, Moment(10**12, 10**12))
+        writer = Writer(file, ClockReading(10**12, 10**12))
         for data, stamp, _ in confusion.chunks(master, 30 * 10**9, 0):
             writer.write_chunk(Wire('arm', 10**6), Chunk(10**12 + stamp, 'arm', data))
     with dashboard(str(capture), '--devices', ARM) as program, dashboard_page.browser() as browser:

@@ -17,7 +17,7 @@ from servobus.examination import Examination
 from servobus.model.models import Models
 from servobus.monitored_bus import MonitoredBus
 from servobus.settings import Bus
-from servobus.sources.capture import Moment
+from servobus.sources.capture import ClockReading
 from servobus.sources.capture import Reader
 from servobus.sources.capture import Wire
 from servobus.sources.flight_recorder import FlightRecorder
@@ -46,7 +46,7 @@ class Flight:
         self.recorder = FlightRecorder(str(folder), size, 1, self.clock)
 
     def clock(self):
-        return Moment(1_790_000_000 * S + self.now, self.now)
+        return ClockReading(1_790_000_000 * S + self.now, self.now)
 
     def run(self, seconds, report=WELL):
         for _ in range(round(10 * seconds)):

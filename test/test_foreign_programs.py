@@ -281,7 +281,7 @@ def reads_its_echo(size):
     (leaves_acknowledgements(), '', 'unread_answers'),
     (one_way(3, 4300), '', 'goal_limits'), (one_way(4, 4300), '', ''),
     (one_way(3, 2000), '', ''),
-    (lost_acks(3), '', 'missed_answers'), (lost_acks(8), '', ''),
+    (lost_acks(3), '', 'missed_answers'), (lost_acks(8), '', 'no_acks'),
     (written_first(packet(1, 3, 5, 7)), '', 'id_moved'),
     (written_first(packet(1, 3, 6, 4)), '', 'baud_moved'),
     (written_first(), '', 'no_answer'),

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import pytest
 
 from mecarover_fakes.receiver import Receiver
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_S
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP

@@ -131,7 +131,7 @@ print(name_of(0x21), ask(0x21).error, known, bus.registry.devices[1].table.bytes
 """) == 'Home 0 True None'
     assert code.run('-c', """
 from servobus.bus.decoder import Settings
-from servobus.bus.expected import Expected
+from servobus.bus.expected_devices import Expected
 from mecarover_fakes.dxl1_servo import Servo1
 from servobus.model.models import Models
 from servobus.monitor import Monitor
@@ -194,7 +194,7 @@ def nameless(case: Case, device: DeviceReport) -> Found | None:
     code.passes('test_doctor.py', 'every_rule', 2)
     assert code.run('-c', """
 from servobus.bus.decoder import Settings
-from servobus.bus.expected import Expected
+from servobus.bus.expected_devices import Expected
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 from servobus.status import device_status
@@ -220,7 +220,7 @@ def test_a_value_in_a_status(copy):
     code.passes('test_docs.py', 'generated')
     assert code.run('-c', """
 from servobus.bus.decoder import Settings
-from servobus.bus.expected import Expected
+from servobus.bus.expected_devices import Expected
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 from servobus.status import device_status

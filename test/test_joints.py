@@ -11,7 +11,7 @@ from msg_defs.diagnostics import Joint
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
-from servobus.bus.expected import Expected
+from servobus.bus.expected_devices import Expected
 
 TICK = 0.0015339807879             # rad: the resolution of an encoder of 4096 steps
 

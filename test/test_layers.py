@@ -23,7 +23,7 @@ from rigs.packages import ROOT
 import servobus
 
 # Rooms of servobus: its folders, and what its other modules are.
-BASE = ('errors', 'plain', 'internal_fault', 'worker')
+BASE = ('errors', 'printable_text', 'internal_fault', 'worker')
 CORE = ('monitor', 'bus_statistics', 'joints', 'signals', 'status')
 ROOMS = {                               # room of servobus: which others it may import
     'base': set(),

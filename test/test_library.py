@@ -47,7 +47,7 @@ def test_an_import_loads_no_doctor_no_ros_and_no_port():
     found = python('import sys; from servobus.port.serial_port import open_port\n'
                    'print(*(name for name in sys.modules if name.startswith("servobus.")))')
     assert not [name for name in found.split() if not name.startswith((
-        'servobus.port', 'servobus.errors', 'servobus.plain', 'servobus.worker'))]
+        'servobus.port', 'servobus.errors', 'servobus.printable_text', 'servobus.worker'))]
 
 
 def test_what_is_public_is_there_and_is_typed():

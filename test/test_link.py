@@ -13,8 +13,8 @@ import pytest
 from terminal_server import TerminalServer
 
 from msg_defs.diagnostics import Level
-from msg_defs.units import NS_PER_MS
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_MS
+from msg_defs.nanoseconds import NS_PER_S
 from msg_defs.vel2d import decode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP

@@ -13,7 +13,7 @@ from test_dump import dump
 from test_dump import MODELS
 
 from servobus.bus.decoder import Settings
-from servobus.bus.expected import parse_all
+from servobus.bus.expected_devices import parse_all
 from servobus.doctor.case import OPTIONS
 from servobus.monitor import Monitor
 from servobus.status import bus_status

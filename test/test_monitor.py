@@ -30,7 +30,7 @@ from msg_defs.event import UNKNOWN
 from servobus import internal_fault
 from servobus.bus.decoder import BusDecoder
 from servobus.bus.decoder import Settings
-from servobus.bus.expected import parse_all
+from servobus.bus.expected_devices import parse_all
 from servobus.bus.tracker import Tracker
 from servobus.doctor import rules
 from servobus.monitor import Monitor

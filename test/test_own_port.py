@@ -18,8 +18,8 @@ from usb_files import log
 from usb_files import ports_in
 from usb_files import REAL
 
+from mecarover_fakes.bus_ptys import FakeBus
 from mecarover_fakes.fake_bus import make_devices
-from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.line import Line
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
@@ -30,7 +30,7 @@ from msg_defs.event import OUT
 from rigs.usb_pcap import cut
 from rigs.usb_pcap import MMAPPED
 from rigs.usb_pcap import pcap
-from servobus.bus.expected import parse_all
+from servobus.bus.expected_devices import parse_all
 from servobus.errors import UsageError
 from servobus.model.models import Models
 from servobus.monitor import Monitor

@@ -3,11 +3,12 @@
 """Pacer: writes, refusals, a line that is slow or stuck, freezes; on simulated time."""
 import pytest
 
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_S
 from msg_defs.vel2d import decode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
+from vel2d_bridge.deadman_process import SILENCE
 from vel2d_bridge.gate import BURST_FRAMES
 from vel2d_bridge.gate import characters_ns
 from vel2d_bridge.gate import Gate
@@ -16,7 +17,6 @@ from vel2d_bridge.gate import NS_PER_MS as MS
 from vel2d_bridge.gate import Outcome
 from vel2d_bridge.gate import Stop
 from vel2d_bridge.pacer import Pacer
-from vel2d_bridge.watch import SILENCE
 
 START = 5 * NS_PER_S
 DRIVE = Vel2d(0.5, -0.25, 1.0)

@@ -18,11 +18,11 @@ from msg_defs.event import Change
 from msg_defs.event import Chunk
 from msg_defs.event import IN
 from msg_defs.event import OUT
-from msg_defs.frame import IS_STATUS
+from msg_defs.servo_frame import IS_STATUS
 from msg_defs.uart import byte_ns
 from rigs.usb_pcap import MMAPPED
 from rigs.usb_pcap import pcapng
-from servobus.sources.capture import Moment
+from servobus.sources.capture import ClockReading
 from servobus.sources.capture import Wire
 from servobus.sources.capture import Writer
 from servobus.sources.opening import open_file
@@ -48,7 +48,7 @@ def with_sides(path, pattern='mixed'):
     """Record a bus as its master hears it; the cable is lost at the end."""
     wire, framer = Wire('arm', BAUD, port='/dev/ttyUSB0'), Framer()
     with open(path, 'wb') as file:
-        writer = Writer(file, Moment(1_790_000_000 * SECOND, SECOND))
+        writer = Writer(file, ClockReading(1_790_000_000 * SECOND, SECOND))
         for data, stamp in bursts(pattern=pattern):
             done = framer.bytes
             for begin, end, kind, *_ in framer.frames(data):
@@ -81,7 +81,7 @@ def test_sides_and_events_come_back(tmp_path):
 def test_a_given_rate_holds_also_where_the_file_says_another_one_later(tmp_path):
     text, file = tmp_path / 'arm.txt', tmp_path / 'arm.pcapng'
     with text.open('wb') as open_text:
-        writer = Writer(open_text, Moment(1_790_000_000 * SECOND, SECOND))
+        writer = Writer(open_text, ClockReading(1_790_000_000 * SECOND, SECOND))
         for chunk in (Chunk(SECOND, 'arm', change=Change('baud', BAUD)),
                       Chunk(SECOND + 1, 'arm', bytes.fromhex('ffff010201fb'), OUT)):
             writer.write_chunk(Wire('arm', 2 * BAUD), chunk)

@@ -12,7 +12,7 @@ from tracked_bus import packets
 from tracked_bus import POSITION
 import yaml
 
-from servobus.bus.expected import parse_all
+from servobus.bus.expected_devices import parse_all
 
 HEARD = yaml.safe_load(Path(__file__).with_name('pairing.yaml').read_text(encoding='utf-8'))
 def known(bus, key):

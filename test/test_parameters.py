@@ -12,7 +12,7 @@ from mecarover_serial.parameters import convert
 from mecarover_serial.parameters import Parameter
 from mecarover_serial.parameters import typed_parameters
 from mecarover_serial.parameters import unknown_names
-from servobus.bus.expected import refuse_twice
+from servobus.bus.expected_devices import refuse_twice
 from servobus.errors import ParameterError
 
 TIMEOUT = Parameter('cmd_vel_timeout', 0.5, 'time-out', 's', 0.05, 10.0, or_zero=True)

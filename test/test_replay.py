@@ -20,7 +20,7 @@ from msg_defs.event import Chunk
 from servobus.bus.decoder import Settings
 from servobus.model.models import Models
 from servobus.monitor import Monitor
-from servobus.sources.capture import Moment
+from servobus.sources.capture import ClockReading
 from servobus.sources.capture import Reader
 from servobus.sources.capture import Wire
 from servobus.sources.capture import Writer
@@ -66,7 +66,7 @@ def listen(chunks, models=MODELS):
 
 def capture(chunks):
     file = io.BytesIO()
-    writer = Writer(file, Moment(1_790_000_000 * SECOND, SECOND))
+    writer = Writer(file, ClockReading(1_790_000_000 * SECOND, SECOND))
     for data, stamp in chunks:
         writer.write_chunk(WIRE, Chunk(stamp, WIRE.name, data))
     return file.getvalue()
@@ -128,7 +128,7 @@ def test_faster_and_again_and_again(tmp_path):
 def test_every_bus_has_its_pty(tmp_path, form):
     path, link = tmp_path / 'two.txt', tmp_path / 'bus'
     file = io.BytesIO()
-    writer = Writer(file, Moment(1, 1)) if form == 'capture' else PacketWriter(file)
+    writer = Writer(file, ClockReading(1, 1)) if form == 'capture' else PacketWriter(file)
     for number in range(3):
         for bus, data in (('left', b'\x01'), ('right/arm', b'\x02\x03')):
             if form == 'capture':

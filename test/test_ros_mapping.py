@@ -14,7 +14,7 @@ from msg_defs.diagnostics import Joint
 from msg_defs.diagnostics import Level
 from msg_defs.diagnostics import Metric
 from msg_defs.diagnostics import Status
-from msg_defs.timing import Series
+from msg_defs.running_statistics import Series
 
 pytestmark = pytest.mark.ros
 S = 1_000_000_000

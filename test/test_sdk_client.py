@@ -15,7 +15,7 @@ from listened_bus import PATIENCE_MS
 import pytest
 
 from servobus.bus.decoder import Settings
-from servobus.bus.expected import parse_all
+from servobus.bus.expected_devices import parse_all
 
 try:
     import dynamixel_sdk as sdk

@@ -17,7 +17,7 @@ from msg_defs.event import NOT_SENT
 from msg_defs.event import OUT
 from msg_defs.event import OVERRUN
 from msg_defs.event import UNKNOWN
-from servobus.bus.expected import parse_all
+from servobus.bus.expected_devices import parse_all
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 from servobus.monitor import Settings

@@ -18,7 +18,7 @@ from msg_defs.dxl_packet import encode
 from msg_defs.signal import PointRing
 from msg_defs.signal import POINTS_MAX
 from servobus.bus.decoder import Settings
-from servobus.bus.expected import Expected
+from servobus.bus.expected_devices import Expected
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 

@@ -29,12 +29,12 @@ from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_packet import encode
 from msg_defs.dxl_packet import STATUS
 from msg_defs.event import Chunk
-from servobus.plain import plain
-from servobus.plain import printable
 from servobus.port.port_error import PortError
 from servobus.port.port_error import Reason
+from servobus.printable_text import plain
+from servobus.printable_text import printable
 from servobus.sources import tap_sender
-from servobus.sources.capture import Moment
+from servobus.sources.capture import ClockReading
 from servobus.sources.capture import Wire
 from servobus.sources.capture import Writer
 from servobus.sources.tap_reader import _Connection
@@ -63,7 +63,7 @@ def run(tool, *arguments):
 def captured(bus):
     """Return the bytes of a capture: a bus that answers twice, then no more, and one of noise."""
     file = io.BytesIO()
-    writer = Writer(file, Moment(1_790_000_000 * SECOND, SECOND))
+    writer = Writer(file, ClockReading(1_790_000_000 * SECOND, SECOND))
     for number in range(40):
         data = encode(1, Instruction.READ, b'\x84\x00\x04\x00')
         if number < 2:
@@ -143,7 +143,7 @@ def test_a_report(tmp_path, arguments):
     (DUMP, ['-', '--model-dirs', '{}']), (DUMP, ['-', '-w', '{}/no/x']),
     (DOCTOR, ['{}']), (DOCTOR, ['--report', '{}/x', 'setup.py']),
     (DOCTOR, ['--explain', '{}']), (REPLAY, ['{}']),
-    ('mecarover_dashboard.serve', ['--history', '{}/no/x', '--port', '0'])])
+    ('mecarover_dashboard.ros_server', ['--history', '{}/no/x', '--port', '0'])])
 @pytest.mark.parametrize('exists', [True, False])
 def test_a_name_of_a_file(tmp_path, tool, arguments, exists):
     name = str(tmp_path / EVIL.replace('\0', '')) + LONE
@@ -186,7 +186,7 @@ def test_a_history(history, what):
     assert sum("'=evil" in cell for cell in row) >= 3
     for cell in row:                # a formula begins a cell, or follows a semicolon in one
         for part in cell.split(';'):
-            assert re.fullmatch(r'-?\d*|[^=+@-].*', part.strip())
+            assert re.fullmatch(r'-?[\d.]*|[^=+@-].*', part.strip())
 
 
 def test_a_topic():

@@ -12,10 +12,10 @@ import threading
 
 import pytest
 
-from msg_defs.timing import Rate
-from msg_defs.timing import Series
-from msg_defs.timing import SLICES
-from msg_defs.timing import VALUE_MAX
+from msg_defs.running_statistics import Rate
+from msg_defs.running_statistics import Series
+from msg_defs.running_statistics import SLICES
+from msg_defs.running_statistics import VALUE_MAX
 
 S = 1_000_000_000
 MS = 1_000_000

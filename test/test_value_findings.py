@@ -26,7 +26,7 @@ from msg_defs.diagnostics import Level
 from msg_defs.dxl_instruction import Instruction as I
 from msg_defs.dxl_packet import BROADCAST
 from servobus.bus.decoder import Settings
-from servobus.bus.expected import parse_all
+from servobus.bus.expected_devices import parse_all
 from servobus.doctor import RULES
 from servobus.doctor.case import PARAMETERS
 from servobus.doctor.finding_log import BusSummary

@@ -54,6 +54,9 @@ from vel2d_bridge.bridge_timing import Timing
 from vel2d_bridge.cmd_vel_subscriber import CmdVelSubscriber
 from vel2d_bridge.deadman import Deadman
 from vel2d_bridge.deadman_server import NAME as DEADMAN_NAME
+from vel2d_bridge.disabled_file import is_kept_off
+from vel2d_bridge.disabled_file import keep
+from vel2d_bridge.disabled_file import why_not_kept
 from vel2d_bridge.gate import Counters
 from vel2d_bridge.gate import Gate
 from vel2d_bridge.gate import Outcome
@@ -63,9 +66,6 @@ from vel2d_bridge.link import NO_STOP
 from vel2d_bridge.mcu_log import McuLog
 from vel2d_bridge.pacer import Sent
 from vel2d_bridge.port_log import PortLog
-from vel2d_bridge.switch import is_kept_off
-from vel2d_bridge.switch import keep
-from vel2d_bridge.switch import why_not_kept
 
 WATCH_S = 0.25              # between looks at the graph, logs and levels
 REPORT_S = 1.0

@@ -22,7 +22,7 @@ from msg_defs.diagnostics import PORT_CLOSED
 from msg_defs.diagnostics import PORT_OPEN
 from msg_defs.diagnostics import Status
 from msg_defs.diagnostics import status_name
-from msg_defs.timing import Summary
+from msg_defs.running_statistics import Summary
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
 from vel2d_bridge.deadman import FROZEN

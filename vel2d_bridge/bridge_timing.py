@@ -3,11 +3,11 @@
 """The timing metrics of the bridge: what is measured, in which unit. Pure; stamps in ns."""
 from __future__ import annotations
 
-from mecarover_serial.memory import resident_memory
+from mecarover_serial.resident_memory import resident_memory
 from msg_defs.diagnostics import Metric
-from msg_defs.timing import Rate
-from msg_defs.timing import Series
-from msg_defs.units import NS_PER_MS
+from msg_defs.nanoseconds import NS_PER_MS
+from msg_defs.running_statistics import Rate
+from msg_defs.running_statistics import Series
 from vel2d_bridge.pacer import Sent
 
 

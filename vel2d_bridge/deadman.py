@@ -3,9 +3,9 @@
 """
 Deadman: the bridge's side of the process that stops the rover when the bridge dies or freezes.
 
-Forked before rclpy.init, while there is one thread; deadman_server.py and watch.py are what it
-does. Both sides share a board in memory, a channel, which wakes it and ends with either side, and
-a queue, in which the open port lies.
+Forked before rclpy.init, while there is one thread; deadman_server.py and deadman_process.py are
+what it does. Both sides share a board in memory, a channel, which wakes it and ends with either
+side, and a queue, in which the open port lies.
 """
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ import signal
 import socket
 import time
 
-from vel2d_bridge.board import ACTED
-from vel2d_bridge.board import ALIVE
-from vel2d_bridge.board import AWAY
-from vel2d_bridge.board import BEATEN
-from vel2d_bridge.board import GOODBYE
-from vel2d_bridge.board import HANDLED
-from vel2d_bridge.board import HELD
-from vel2d_bridge.board import OWED
-from vel2d_bridge.board import PortRecord
-from vel2d_bridge.board import SERVER
-from vel2d_bridge.board import SharedBoard
-from vel2d_bridge.board import WATCH
 from vel2d_bridge.claim import identity
+from vel2d_bridge.deadman_process import NUMBER
 from vel2d_bridge.deadman_server import serve
 from vel2d_bridge.lost_port import settings
-from vel2d_bridge.process import PR_SET_CHILD_SUBREAPER
-from vel2d_bridge.process import prctl
-from vel2d_bridge.watch import NUMBER
+from vel2d_bridge.process_attributes import PR_SET_CHILD_SUBREAPER
+from vel2d_bridge.process_attributes import prctl
+from vel2d_bridge.shared_memory import ACTED
+from vel2d_bridge.shared_memory import ALIVE
+from vel2d_bridge.shared_memory import AWAY
+from vel2d_bridge.shared_memory import BEATEN
+from vel2d_bridge.shared_memory import GOODBYE
+from vel2d_bridge.shared_memory import HANDLED
+from vel2d_bridge.shared_memory import HELD
+from vel2d_bridge.shared_memory import OWED
+from vel2d_bridge.shared_memory import PortRecord
+from vel2d_bridge.shared_memory import SERVER
+from vel2d_bridge.shared_memory import SharedBoard
+from vel2d_bridge.shared_memory import WATCH
 
 READY, STARTING, FROZEN, GONE = 'ready', 'starting', 'frozen', 'lost'
 _ANSWER_S = 0.5                    # how long the bridge waits for it

@@ -18,17 +18,17 @@ import signal
 import socket
 import time
 
-from vel2d_bridge.board import ALIVE
-from vel2d_bridge.board import HANDLED
-from vel2d_bridge.board import SERVER
-from vel2d_bridge.board import SharedBoard
-from vel2d_bridge.board import WATCH
-from vel2d_bridge.process import PR_SET_PDEATHSIG
-from vel2d_bridge.process import prctl
-from vel2d_bridge.process import rename_process
-from vel2d_bridge.watch import IGNORE_SIGTERM_S
-from vel2d_bridge.watch import SEARCH_S
-from vel2d_bridge.watch import Watch
+from vel2d_bridge.deadman_process import IGNORE_SIGTERM_S
+from vel2d_bridge.deadman_process import SEARCH_S
+from vel2d_bridge.deadman_process import Watch
+from vel2d_bridge.process_attributes import PR_SET_PDEATHSIG
+from vel2d_bridge.process_attributes import prctl
+from vel2d_bridge.process_attributes import rename_process
+from vel2d_bridge.shared_memory import ALIVE
+from vel2d_bridge.shared_memory import HANDLED
+from vel2d_bridge.shared_memory import SERVER
+from vel2d_bridge.shared_memory import SharedBoard
+from vel2d_bridge.shared_memory import WATCH
 
 NAME = 'deadman'                   # `pkill -f vel2d_bridge` must not find it
 _REBIRTH_S = 0.02                  # before the next dead man: one that fails must not spin

@@ -18,7 +18,7 @@ import time
 from typing import NamedTuple
 
 from msg_defs.crc import crc32_mpeg2
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_S
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import STOP
 from msg_defs.vel2d import Vel2d
@@ -33,14 +33,14 @@ from servobus.worker import Worker
 from vel2d_bridge.claim import PortClaim
 from vel2d_bridge.deadman import Deadman
 from vel2d_bridge.deadman import READY
+from vel2d_bridge.deadman_process import BEAT
+from vel2d_bridge.deadman_process import SILENCE
 from vel2d_bridge.gate import Gate
 from vel2d_bridge.gate import GateSettings
 from vel2d_bridge.gate import Outcome
 from vel2d_bridge.gate import Stop
 from vel2d_bridge.pacer import Pacer
 from vel2d_bridge.pacer import Sent
-from vel2d_bridge.watch import BEAT
-from vel2d_bridge.watch import SILENCE
 
 NO_STOP = 'no stop could be sent, the rover may be driving'
 OFF, NO_USE = 'off', 'no use'      # besides the dead man's own states

@@ -18,7 +18,7 @@ from msg_defs.mcu_report import McuReport
 from msg_defs.mcu_report import parse_report
 from msg_defs.mcu_report import STOPPED
 from msg_defs.mcu_report import VERSION
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_S
 
 _LONGEST = 200                  # bytes of a line
 _KEPT = 5                       # lines between two that are taken

@@ -17,11 +17,12 @@ from typing import NamedTuple
 from typing import Protocol
 
 from msg_defs.crc import crc32_mpeg2
-from msg_defs.units import NS_PER_MS
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_MS
+from msg_defs.nanoseconds import NS_PER_S
 from msg_defs.vel2d import encode
 from msg_defs.vel2d import FRAME_SIZE
 from msg_defs.vel2d import Vel2d
+from vel2d_bridge.deadman_process import SILENCE
 from vel2d_bridge.gate import characters_ns
 from vel2d_bridge.gate import Frame
 from vel2d_bridge.gate import FrameKind
@@ -30,7 +31,6 @@ from vel2d_bridge.gate import Gate
 from vel2d_bridge.gate import NEVER
 from vel2d_bridge.gate import Outcome
 from vel2d_bridge.gate import Stop
-from vel2d_bridge.watch import SILENCE
 
 RETRY = 2 * NS_PER_MS
 FIFO_CHARACTERS = 128              # the longest transmit FIFO of common UARTs and adapters

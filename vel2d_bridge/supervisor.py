@@ -15,7 +15,7 @@ import signal
 import time
 
 from vel2d_bridge.deadman_server import NAME
-from vel2d_bridge.process import rename_process
+from vel2d_bridge.process_attributes import rename_process
 
 OUTLIVE_S = 1.0                    # for the dead man: its six zeros take 0.4 s
 _MACHINE_NAMESPACE = 0xEFFFFFFC    # the inode of the first PID namespace: PROC_PID_INIT_INO

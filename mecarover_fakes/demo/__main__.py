@@ -110,7 +110,7 @@ class DemoRun:
                     f'silent:{SILENT_ID}:{SILENT_AT_S}:{SILENT_FOR_S}', '--truth', self._truth)
         group.start('dxl_monitor.start', '--ros-args', '-p', f'ports:={bus}', '-p',
                     f'devices:={list(DEVICES)}')
-        self._dashboard = group.start('mecarover_dashboard.serve', '--port', page_port,
+        self._dashboard = group.start('mecarover_dashboard.ros_server', '--port', page_port,
                                         '--history', 'none')
 
     def run(self, seconds: float | None) -> None:

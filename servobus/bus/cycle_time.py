@@ -25,8 +25,8 @@ from msg_defs.event import BUSY
 from msg_defs.event import Change
 from msg_defs.event import GAVE_UP
 from msg_defs.event import TRACED
-from msg_defs.timing import Rate
-from msg_defs.timing import Series
+from msg_defs.running_statistics import Rate
+from msg_defs.running_statistics import Series
 from servobus.bus.plan import Plan
 from servobus.bus.report import CycleTimes
 
@@ -35,7 +35,7 @@ VAIN_WAIT_MIN_NS = 50_000
 REPETITIONS_NEEDED = 4             # repetitions
 LOOP_GOES_ON_NS = 3_000_000_000
 SAME_PERIOD_SHARE = 0.1            # share of a period: two instructions of one cycle
-PACED_SPREAD = 0.25                # spread of repetitions that a clock paces
+PACED_MAX_SPREAD = 0.25            # spread of repetitions that a clock paces
 TIMES_A_CYCLE_END = 4              # more often in one cycle nothing is asked
 SHORT_GAP_SHARE = 0.4              # share of the mean: asked again in the same cycle
 WHOLE_RATIO_SHARE = 0.05           # share of a ratio: from the next whole number
@@ -67,7 +67,7 @@ class Pace(NamedTuple):
             and abs(ratio - round(ratio)) < WHOLE_RATIO_SHARE * ratio
         if is_mostly_missed(other.plan):
             return is_whole and not is_mostly_missed(self.plan)
-        return other.spread > max(PACED_SPREAD, 2 * self.spread) and (is_whole or ratio < 2)
+        return other.spread > max(PACED_MAX_SPREAD, 2 * self.spread) and (is_whole or ratio < 2)
 
     def is_group_of(self, one: Pace) -> bool:
         """Tell whether this is the pace of groups of a question that is asked at that pace."""

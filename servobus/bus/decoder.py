@@ -9,16 +9,16 @@ It joins the framer, the tracker and the registry. No lock and no clock: Monitor
 from typing import NamedTuple
 
 from msg_defs import dxl1_packet
-from msg_defs.dxl1_proof import Detector
+from msg_defs.dxl1_detector import Detector
 from msg_defs.dxl_mixed import MixedFramer
 from msg_defs.dxl_packet import Framer
-from msg_defs.event import ADDS_RETURNS
 from msg_defs.event import AWAY
 from msg_defs.event import BAUD
 from msg_defs.event import Change
 from msg_defs.event import CLOSED
 from msg_defs.event import GAVE_UP
 from msg_defs.event import GONE
+from msg_defs.event import HAS_ADDED_RETURN
 from msg_defs.event import IN
 from msg_defs.event import LATENCY_TIMER
 from msg_defs.event import LINE_MODE
@@ -28,7 +28,7 @@ from msg_defs.event import OUT
 from msg_defs.event import PURGED
 from msg_defs.event import UNKNOWN
 from msg_defs.event import UNREAD
-from msg_defs.frame import Frames
+from msg_defs.servo_frame import Frames
 from msg_defs.uart import idle_s
 from servobus.bus import evidence as ev
 from servobus.bus.cycle_time import CycleClock
@@ -40,7 +40,7 @@ from servobus.bus.dxl1_classifier import Dxl1Classifier
 from servobus.bus.dxl1_classifier import REPLY_LATE_NS
 from servobus.bus.echo import EchoCounter
 from servobus.bus.evidence import Evidence
-from servobus.bus.expected import Expected
+from servobus.bus.expected_devices import Expected
 from servobus.bus.port_sessions import PortSessions
 from servobus.bus.registry import DeviceRegistry
 from servobus.bus.report import CycleTimes
@@ -144,11 +144,7 @@ class BusDecoder:
             began = stamp - int(wire_ns)
             self.clock.add_write(began, wire_ns, awaited, self.evidence.waits_added != waited)
             if self.tracker.asked == stamp:
-                plan = self.tracker.pending
-                self.clock.add_instruction(plan, began, wire_ns)
-                if self.line_mode >= ADDS_RETURNS and b'\n' in chunk:
-                    self.evidence.add_incident(stamp, ev.RETURN_ADDED, plan.request.id,
-                                               plan.request.instruction)
+                self.clock.add_instruction(self.tracker.pending, began, wire_ns)
 
     def _end_reply(self, stamp: int) -> None:
         """Decide an answer that stopped on its way, before what the master says next is taken."""
@@ -230,11 +226,17 @@ class BusDecoder:
         elif what == GAVE_UP:
             self.tracker.unread.vain_read_ns = stamp - 1000 * value
         elif what == LINE_MODE:
-            self.line_mode = value
+            self._set_line_mode(value, stamp)
         elif what == AWAY:
             self.tracker.discount_latency(value, stamp)
         elif what in (CLOSED, GONE, LOST):
             self._lose_stream(what, value, stamp)
+
+    def _set_line_mode(self, mode: int, stamp: int) -> None:
+        self.line_mode = mode & ~HAS_ADDED_RETURN
+        if mode & HAS_ADDED_RETURN:
+            request = self.tracker.pending.request
+            self.evidence.add_incident(stamp, ev.RETURN_ADDED, request.id, request.instruction)
 
     @property
     def _sent_bytes(self) -> int:

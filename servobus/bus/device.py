@@ -16,8 +16,8 @@ from msg_defs.dxl1_instruction import Dialect
 from msg_defs.dxl1_instruction import error_text as bits_text
 from msg_defs.dxl1_instruction import FEETECH
 from msg_defs.dxl_instruction import error_text
-from msg_defs.timing import Series
-from msg_defs.timing import WINDOW_S
+from msg_defs.running_statistics import Series
+from msg_defs.running_statistics import WINDOW_S
 from servobus.bus.report import Counts
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import PROTOCOL_2
@@ -36,7 +36,7 @@ from servobus.model.model_guesses import Use
 from servobus.model.model_guesses import USE_MAX_BYTES
 
 RESOLVED_MIN_SHARE = 0.2           # the share of answers that makes a latency worth a figure
-LATE_REPLY_NS = 100_000_000        # no servo takes as long: its Return Delay Time ends at 0.5 ms
+OWED_REPLY_MAX_NS = 100_000_000    # no servo takes as long: its Return Delay Time ends at 0.5 ms
 _ERRORS_KEPT = 64                  # distinct (instruction, address, error)
 RETURN_LEVEL = 'Status Return Level'
 OFFSET = 'Homing Offset'
@@ -103,7 +103,7 @@ class Device:
         self.heard = 0                             # stamp of the last status, 0 = never
         self.asked_stamp = 0                       # when it last did not answer
         self.owed = 0
-        self._given_up = -LATE_REPLY_NS           # when an answer was last given up
+        self._given_up = -OWED_REPLY_MAX_NS       # when an answer was last given up
         self.is_unusual = True
         self.forget_answering()
         self.reset_statistics()
@@ -235,7 +235,7 @@ class Device:
         self.waiting_behind = blocker
         self.is_unusual = True
 
-    def accept_late_reply(self, stamp: int, late_ns: int = LATE_REPLY_NS) -> bool:
+    def accept_late_reply(self, stamp: int, late_ns: int = OWED_REPLY_MAX_NS) -> bool:
         """Take an answer that is not due: whether one that was given up lately is still owed."""
         if not self.owed or stamp - self._given_up >= late_ns:
             return False
@@ -248,7 +248,7 @@ class Device:
 
     def _owe(self, stamp: int, answers: int = 1) -> None:
         # Stamps of chunks: the time on the wire is only as good as the chunk is short.
-        self.owed = (self.owed if stamp - self._given_up < LATE_REPLY_NS else 0) + answers
+        self.owed = (self.owed if stamp - self._given_up < OWED_REPLY_MAX_NS else 0) + answers
         self._given_up = stamp
 
     def count_refusal(self, instruction: int, address: int, error: int) -> None:

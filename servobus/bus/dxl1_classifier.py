@@ -15,6 +15,8 @@ from collections import Counter
 from collections.abc import Callable
 
 from msg_defs import dxl1_packet
+from msg_defs.dxl1_detector import Candidate
+from msg_defs.dxl1_detector import Detector
 from msg_defs.dxl1_instruction import ADAPTER_IDS
 from msg_defs.dxl1_instruction import fits
 from msg_defs.dxl1_instruction import parse
@@ -24,8 +26,6 @@ from msg_defs.dxl1_instruction import UNDECIDED
 from msg_defs.dxl1_instruction import widen_instruction
 from msg_defs.dxl1_packet import BROADCAST
 from msg_defs.dxl1_packet import MIN_LENGTH
-from msg_defs.dxl1_proof import Candidate
-from msg_defs.dxl1_proof import Detector
 from msg_defs.dxl_instruction import Answers
 from msg_defs.dxl_instruction import Request
 from msg_defs.dxl_mixed import MixedFramer
@@ -33,14 +33,14 @@ from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import REASONS
 from msg_defs.event import IN
 from msg_defs.event import OUT
-from msg_defs.frame import EITHER_1
-from msg_defs.frame import Flaw
-from msg_defs.frame import Frame
-from msg_defs.frame import Frames
-from msg_defs.frame import GLITCH
-from msg_defs.frame import INSTRUCTION_1
-from msg_defs.frame import IS_STATUS
-from msg_defs.frame import OPEN
+from msg_defs.servo_frame import EITHER_1
+from msg_defs.servo_frame import Flaw
+from msg_defs.servo_frame import Frame
+from msg_defs.servo_frame import Frames
+from msg_defs.servo_frame import GLITCH
+from msg_defs.servo_frame import INSTRUCTION_1
+from msg_defs.servo_frame import IS_STATUS
+from msg_defs.servo_frame import OPEN
 from servobus.bus import evidence as ev
 from servobus.bus.dialect import DialectChoice
 from servobus.bus.evidence import Evidence

@@ -22,11 +22,11 @@ from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_packet import STATUS
 from msg_defs.event import IN
 from msg_defs.event import OUT
-from msg_defs.frame import Flaw
-from msg_defs.frame import Frame
-from msg_defs.frame import is_good
-from msg_defs.frame import IS_STATUS
-from msg_defs.frame import OPEN
+from msg_defs.servo_frame import Flaw
+from msg_defs.servo_frame import Frame
+from msg_defs.servo_frame import is_good
+from msg_defs.servo_frame import IS_STATUS
+from msg_defs.servo_frame import OPEN
 from servobus.bus.report import Error
 from servobus.bus.report import Incident
 from servobus.bus.report import IncidentKind

@@ -10,7 +10,7 @@ So a frame that names a new ID is believed by what is around it, or when the ID 
 
 from msg_defs.dxl1_packet import BROADCAST
 from msg_defs.dxl1_packet import ends_with_another
-from msg_defs.frame import Frame
+from msg_defs.servo_frame import Frame
 from servobus.bus.registry import DeviceRegistry
 
 SIGHTINGS_NEEDED = 3               # on a bus with stray bytes, noise is around all packets

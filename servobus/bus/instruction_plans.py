@@ -27,11 +27,11 @@ from msg_defs.dxl_instruction import Request
 from msg_defs.dxl_instruction import RESET_ALL
 from msg_defs.dxl_instruction import span_at
 from msg_defs.dxl_packet import BROADCAST
-from msg_defs.frame import INSTRUCTION_2
+from msg_defs.servo_frame import INSTRUCTION_2
 from servobus.bus import evidence as ev
 from servobus.bus.device import Device
 from servobus.bus.evidence import Evidence
-from servobus.bus.expected import MAX_ID_1
+from servobus.bus.expected_devices import MAX_ID_1
 from servobus.bus.plan import Accept
 from servobus.bus.plan import Action
 from servobus.bus.plan import Begin

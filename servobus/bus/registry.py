@@ -25,8 +25,8 @@ from servobus.bus.device import PLACE
 from servobus.bus.device import RETURN_LEVEL
 from servobus.bus.device import TORQUE
 from servobus.bus.evidence import Evidence
-from servobus.bus.expected import Expected
-from servobus.bus.expected import MAX_ID
+from servobus.bus.expected_devices import Expected
+from servobus.bus.expected_devices import MAX_ID
 from servobus.bus.plan import Effect
 from servobus.bus.report import IdWrite
 from servobus.bus.report import NEW_ID

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from msg_defs.frame import GLITCH
+from msg_defs.servo_frame import GLITCH
 from servobus.bus import evidence as ev
 from servobus.bus.evidence import Evidence
 from servobus.bus.plan import Due

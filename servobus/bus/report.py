@@ -25,7 +25,7 @@ from msg_defs import status_keys as keys
 from msg_defs.diagnostics import Level
 from msg_defs.diagnostics import Metric
 from msg_defs.event import UNKNOWN
-from msg_defs.timing import Summary
+from msg_defs.running_statistics import Summary
 from servobus.bus.table import Observed
 from servobus.model.control_table import Model
 

@@ -21,12 +21,12 @@ from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import fast_wire
 from msg_defs.event import IN
 from msg_defs.event import UNKNOWN
-from msg_defs.frame import Flaw
-from msg_defs.frame import Frame
-from msg_defs.frame import Frames
-from msg_defs.frame import GLITCH
-from msg_defs.frame import INSTRUCTION_2
-from msg_defs.frame import IS_STATUS
+from msg_defs.servo_frame import Flaw
+from msg_defs.servo_frame import Frame
+from msg_defs.servo_frame import Frames
+from msg_defs.servo_frame import GLITCH
+from msg_defs.servo_frame import INSTRUCTION_2
+from msg_defs.servo_frame import IS_STATUS
 from servobus.bus import certainty
 from servobus.bus import evidence as ev
 from servobus.bus.certainty import DOUBTFUL

@@ -36,13 +36,13 @@ from itertools import accumulate
 
 from msg_defs.dxl_instruction import ALERT
 from msg_defs.event import IN
-from msg_defs.frame import Flaw
-from msg_defs.frame import Frame
-from msg_defs.frame import Frames
-from msg_defs.frame import GLITCH
+from msg_defs.servo_frame import Flaw
+from msg_defs.servo_frame import Frame
+from msg_defs.servo_frame import Frames
+from msg_defs.servo_frame import GLITCH
 from servobus.bus import evidence as ev
 from servobus.bus.device import Device
-from servobus.bus.device import LATE_REPLY_NS
+from servobus.bus.device import OWED_REPLY_MAX_NS
 from servobus.bus.evidence import Evidence
 from servobus.bus.plan import Due
 from servobus.bus.plan import Plan
@@ -128,7 +128,7 @@ class UnreadAnswers:
     @property
     def late_reply_ns(self) -> int:
         """For how long an answer that was given up may still come."""
-        return UNREAD_REPLY_NS if self.reported_ns else LATE_REPLY_NS
+        return UNREAD_REPLY_NS if self.reported_ns else OWED_REPLY_MAX_NS
 
     # --- what the tap reports -------------------------------------------------------------------
 
@@ -162,7 +162,7 @@ class UnreadAnswers:
         if waiting > _status_bytes(awaited):
             awaited = [slot for state in (DEFERRED, UNCERTAIN) for question in
                        self._questions[state] for slot in question.due
-                       if stamp - question.asked < LATE_REPLY_NS] + awaited
+                       if stamp - question.asked < OWED_REPLY_MAX_NS] + awaited
         is_all = bool(slots) and self.vain_read_ns <= asked and waiting == _status_bytes(awaited)
         if is_all:
             if self._reported_at == received:
@@ -184,7 +184,7 @@ class UnreadAnswers:
                            stamp: int) -> None:
         """Find whose late or second answer was discarded; slots: of those that did not come."""
         waiting = self.waiting
-        given_up = [one for one in self._given_up if stamp - one[1] < LATE_REPLY_NS]
+        given_up = [one for one in self._given_up if stamp - one[1] < OWED_REPLY_MAX_NS]
         late = [slot for slot, _ in given_up]
         late += slots.values() if len(slots) == 1 and self.vain_read_ns > asked else ()
         sizes = [0, *accumulate(slot.status_size for slot in late)]

@@ -17,8 +17,8 @@ from functools import cached_property
 from typing import Any
 from typing import NamedTuple
 
-from msg_defs.units import NS_PER_MS
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_MS
+from msg_defs.nanoseconds import NS_PER_S
 from servobus.bus import evidence as ev
 from servobus.bus import report as words
 from servobus.bus.report import BusReport

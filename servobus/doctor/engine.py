@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from msg_defs.diagnostics import Level
 from msg_defs.diagnostics import worst
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_S
 from servobus.bus.decoder import DEFAULTS
 from servobus.bus.decoder import Settings
 from servobus.bus.report import BusReport
@@ -22,18 +22,18 @@ from servobus.doctor.case import Case
 from servobus.doctor.case import History
 from servobus.doctor.case import Names
 from servobus.doctor.case import PARAMETERS
+from servobus.doctor.device_states import judge_states
 from servobus.doctor.rule import Claim
 from servobus.doctor.rule import Found
 from servobus.doctor.rule import Rule
 from servobus.doctor.rules import devices
 from servobus.doctor.rules import missing
 from servobus.doctor.rules import noise
-from servobus.doctor.rules import requests
+from servobus.doctor.rules import program
 from servobus.doctor.standing import dated_claim
 from servobus.doctor.standing import kept_claim
 from servobus.doctor.standing import standing_claim
 from servobus.doctor.standing import StandingClaim
-from servobus.doctor.states import judge_states
 from servobus.internal_fault import survive
 
 IDLE_S = 0.5                       # no byte for so long: there is nothing to judge
@@ -42,8 +42,8 @@ HOLD_NS = 3 * NS_PER_S             # a claim lasts so much longer than its evide
 
 
 # The rules that work on a bus on which nothing happens any more.
-_AT_REST = (missing.sync_read_stops, missing.no_answer, requests.master_stopped,
-            requests.port_lost)
+_AT_REST = (missing.sync_read_stops, missing.no_answer, program.master_stopped,
+            program.port_lost)
 _Key = tuple[str, int | None]
 
 
@@ -68,7 +68,10 @@ class Doctor:
                 for found in noise.source_lost(case)))
         doubts: list[Finding] = []
         since: dict[_Key, int] = {}
+        seen = case.incidents_by_kind.keys()
         for rule in rules.RULES:
+            if rule.needs_incident and seen.isdisjoint(rule.needs_incident):
+                continue
             for found in found_by(rule, case):
                 if isinstance(found, Claim):
                     key = rule.name, found.device
@@ -88,16 +91,17 @@ class Doctor:
                 else kept_claim(case, one)) is not None}
         findings = self._report_claims(case)
         named = {(finding.rule, finding.device) for finding in findings}
-        causes = [finding for finding in findings if finding.level is not Level.OK]
+        causes = [finding for finding in findings if finding.level is not Level.OK
+                  and rules.BY_NAME[finding.rule].accounts_for] if doubts else []
         self._doubts = tuple([
             one for one in doubts if (one.rule, one.device) not in named
-            and not any(rules.accounts_for(cause, one) for cause in causes
-                        if cause.device is None or one.device is not None)])
+            and not [cause for cause in causes if (cause.device is None or one.device is not None)
+                     and rules.accounts_for(cause, one)]])
         return _report_with(case, findings, self._doubts)
 
     def _report_claims_at_rest(self, case: Case) -> tuple[Finding, ...]:
         """Return what was known when the master asked last: nothing new can be judged."""
-        self._standing.pop((requests.master_stopped.name, None), None)    # the port may be closed
+        self._standing.pop((program.master_stopped.name, None), None)    # the port may be closed
         for rule in _AT_REST:
             for found in found_by(rule, case):
                 if isinstance(found, Claim):
@@ -168,8 +172,8 @@ def _report_with(case: Case, findings: tuple[Finding, ...],
     bus = first.get(None)
     if bus is not None and bus.level is not Level.OK:
         return report._replace(level=worst((report.level, bus.level)), message=bus.message)
-    if any(doubt.rule == requests.models.name for doubt in doubts):
-        return requests.with_models_named(report, case.names)
+    if any(doubt.rule == program.models.name for doubt in doubts):
+        return program.with_models_named(report, case.names)
     return report
 
 

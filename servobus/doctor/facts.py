@@ -23,8 +23,8 @@ from statistics import median
 from typing import NamedTuple
 
 from msg_defs.dxl_instruction import Instruction
-from msg_defs.units import NS_PER_MS
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_MS
+from msg_defs.nanoseconds import NS_PER_S
 from servobus.bus import evidence as ev
 from servobus.bus import report as words
 from servobus.bus.report import BusReport

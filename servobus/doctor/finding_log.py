@@ -16,7 +16,7 @@ from servobus.bus.report import Finding
 from servobus.doctor.rules import accounts_for
 from servobus.doctor.rules import RANKS
 from servobus.doctor.rules import timing
-from servobus.plain import printable
+from servobus.printable_text import printable
 
 _Key = tuple[str, int | None]
 _SILENT = 'all_silent', None

@@ -22,9 +22,9 @@ from operator import sub
 from typing import NamedTuple
 
 from msg_defs.dxl_instruction import Instruction
+from msg_defs.nanoseconds import NS_PER_MS
+from msg_defs.nanoseconds import NS_PER_S
 from msg_defs.uart import byte_ns
-from msg_defs.units import NS_PER_MS
-from msg_defs.units import NS_PER_S
 from servobus.bus.report import Cycle
 
 WRITES = (Instruction.WRITE, Instruction.REG_WRITE, Instruction.SYNC_WRITE,

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Thresholds that several families of rules share; all others are next to their rule."""
 
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_S
 
 WINDOW_S = 10.0                    # what is older says nothing of now
 WINDOW_NS = int(WINDOW_S * NS_PER_S)

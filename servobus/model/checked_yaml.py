@@ -22,7 +22,7 @@ from typing import NamedTuple
 import yaml
 
 from servobus.errors import ServobusError
-from servobus.plain import printable
+from servobus.printable_text import printable
 
 BUILT_IN = Path(__file__).with_name('files')
 KEY_NUMBER_MAX = 0xFFFF            # in values: {NUMBER: NAME}

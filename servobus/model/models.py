@@ -61,7 +61,7 @@ class Models:
         layers = Layers(folder, BUILT_IN)
         for path in model_files(folder):
             self._layers[path] = layers
-            for number, name in scan_numbers(path, layers).items():
+            for number, name in read_model_numbers(path, layers).items():
                 known, _ = self._index.setdefault(number, (path, name))
                 if known.suffix == SUFFIX != path.suffix:
                     self._index[number] = path, name
@@ -166,10 +166,10 @@ def model_files(folder: Path) -> list[Path]:
 def _built_in_names() -> set[str]:
     layers = Layers(BUILT_IN, BUILT_IN)
     return {_plain(name) for path in model_files(BUILT_IN)
-            for name in scan_numbers(path, layers).values()}
+            for name in read_model_numbers(path, layers).values()}
 
 
-def scan_numbers(path: Path, layers: Layers) -> dict[int, str]:
+def read_model_numbers(path: Path, layers: Layers) -> dict[int, str]:
     """Read number -> name from its line if that has the plain form, else from the file."""
     text = read_file(path)
     match = _NUMBERS.search(text)

@@ -17,7 +17,7 @@ from servobus.worker import Worker
 
 INSPECT_EVERY_S = 30.0      # a look takes 20 ms of CPU where 100 processes run
 INSPECT_APART_S = 1.0       # at least, where a program opens the port again and again
-INSPECT_AGAIN_S = 2.0       # once more after a change: a process that ends has its terminal longer
+INSPECT_AFTER_CHANGE_S = 2.0       # once more: a process that ends has its terminal longer
 
 
 class Inspection:
@@ -51,7 +51,8 @@ class Inspection:
         if (opening == self._opening and now_s < due_s) or not self._looked.is_set():
             return
         self._looked_s = now_s
-        self._due_s = now_s + (INSPECT_AGAIN_S if self._watch.has_changed else INSPECT_EVERY_S)
+        self._due_s = now_s + (
+            INSPECT_AFTER_CHANGE_S if self._watch.has_changed else INSPECT_EVERY_S)
         self._opening, self._was_opened = opening, self._watch.was_opened
         self._watch.clear()
         self._looked = self._worker.call(self._inspect)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from servobus.errors import ServobusError
-from servobus.plain import printable
+from servobus.printable_text import printable
 
 
 class Reason(NamedTuple):

@@ -68,7 +68,7 @@ def warnings(path: str, root: Path = ROOT, ours: Sequence[str] = ()) -> list[Rea
     """
     name = tty_of(path)
     found = []
-    if name in _consoles(root):
+    if name in _kernel_consoles(root):
         found.append(Reason(
             'console', 'the kernel writes its console here',
             f'remove console={name} or console=serial0 from the kernel command line and reboot'))
@@ -215,7 +215,7 @@ def _name(find: Callable[[int], Sequence[Any]], number: int) -> str:
         return str(number)
 
 
-def _consoles(root: Path) -> set[str]:
+def _kernel_consoles(root: Path) -> set[str]:
     """Names of the ttys that the kernel writes to."""
     names = {line.split()[0] for line in file_text(root / 'proc/consoles').splitlines() if line}
     names |= set(re.findall(r'console=(\w+)', file_text(root / 'proc/cmdline')))

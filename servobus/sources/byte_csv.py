@@ -17,15 +17,15 @@ import shlex
 from msg_defs.event import Change
 from msg_defs.event import FRAMING
 from msg_defs.event import PARITY
-from msg_defs.units import NS_PER_MS
-from msg_defs.units import NS_PER_S
-from servobus.plain import printable
+from msg_defs.nanoseconds import NS_PER_MS
+from msg_defs.nanoseconds import NS_PER_S
+from servobus.printable_text import printable
+from servobus.sources.byte_sides import ByteText
+from servobus.sources.byte_sides import NAMED_MAX
+from servobus.sources.byte_sides import one_bus
+from servobus.sources.byte_sides import OneBus
+from servobus.sources.byte_sides import TextBytes
 from servobus.sources.strace_text import unescaped
-from servobus.sources.text_bytes import ByteText
-from servobus.sources.text_bytes import NAMED_MAX
-from servobus.sources.text_bytes import one_bus
-from servobus.sources.text_bytes import OneBus
-from servobus.sources.text_bytes import TextBytes
 
 _TIME = re.compile(r'(?:start[_ ]?)?time\b\s*(?:[\[(](\w+)[\])])?')
 _DATA = ('data', 'value', 'decoded protocol result', 'hex')

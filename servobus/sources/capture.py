@@ -36,9 +36,9 @@ from msg_defs.event import IN
 from msg_defs.event import LATENCY_TIMER
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_S
 from servobus.errors import ParameterError
-from servobus.plain import printable
+from servobus.printable_text import printable
 
 MAGIC = b'# dxl_capture '            # a number follows: 1 is 2 without sides and changes
 ENDED = 'ended at '                # begins the remark at the end of a recording
@@ -77,7 +77,7 @@ class Wire(NamedTuple):
         return self
 
 
-class Moment(NamedTuple):
+class ClockReading(NamedTuple):
     """One moment on two clocks, ns: since 1970, and monotonic."""
 
     wall: int
@@ -104,7 +104,7 @@ def _word(name: str) -> str:
 class Writer:
     """Writes to a file that somebody else opened, and flushes and closes."""
 
-    def __init__(self, file: BinaryIO, now: Moment) -> None:
+    def __init__(self, file: BinaryIO, now: ClockReading) -> None:
         self.size = 0
         self._file = file
         self._described: set[str] = set()     # buses
@@ -137,7 +137,7 @@ class Reader:
     """
 
     def __init__(self, lines: Iterable[bytes]) -> None:
-        self.began = Moment(0, 0)
+        self.began = ClockReading(0, 0)
         self.wires: dict[str, Wire] = {}
         self.bad_lines = 0
         self._first_bad = ''
@@ -201,7 +201,7 @@ class Reader:
         if line.startswith(MAGIC):
             if words[1] not in VERSIONS:
                 raise ValueError(line)
-            now = Moment(_wall(words[3].decode()), _stamp(words[5]))
+            now = ClockReading(_wall(words[3].decode()), _stamp(words[5]))
             if not self.began.wall:
                 self.began = now
             if now.stamp + self._shift < self._last:

@@ -18,8 +18,8 @@ import time
 from msg_defs.event import Chunk
 from servobus.errors import ParameterError
 from servobus.sources.capture import check_new
+from servobus.sources.capture import ClockReading
 from servobus.sources.capture import ENDED
-from servobus.sources.capture import Moment
 from servobus.sources.capture import open_new
 from servobus.sources.capture import seconds
 from servobus.sources.capture import Wire
@@ -31,9 +31,9 @@ STOP_PATIENCE_S = 3.0               # the end waits no longer for what takes not
 WAITING_MAX_BYTES = 16_000_000      # bytes: more than a minute of a busy bus
 
 
-def moment() -> Moment:
+def read_clocks() -> ClockReading:
     """Return the time on both clocks."""
-    return Moment(time.time_ns(), time.monotonic_ns())
+    return ClockReading(time.time_ns(), time.monotonic_ns())
 
 
 class Recorder:
@@ -45,7 +45,7 @@ class Recorder:
     """
 
     def __init__(self, path: str, size: int, kept: int,
-                 now: Callable[[], Moment] = moment,
+                 now: Callable[[], ClockReading] = read_clocks,
                  waiting_limit: int = 0) -> None:
         self.path = path
         self.problem = ''

@@ -22,15 +22,15 @@ import threading
 
 from msg_defs.diagnostics import Level
 from msg_defs.event import Chunk
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_S
 from servobus.bus.report import BusReport
 from servobus.bus.report import DISCONNECTED
 from servobus.errors import ParameterError
-from servobus.plain import printable
-from servobus.sources.capture import Moment
+from servobus.printable_text import printable
+from servobus.sources.capture import ClockReading
 from servobus.sources.capture import seconds
 from servobus.sources.capture import Wire
-from servobus.sources.capture_recorder import moment
+from servobus.sources.capture_recorder import read_clocks
 from servobus.sources.capture_recorder import Recorder
 from servobus.worker import Worker
 
@@ -54,7 +54,7 @@ class FlightRecorder:
     """
 
     def __init__(self, folder: str, size: int, buses: int,
-                 now: Callable[[], Moment] = moment) -> None:
+                 now: Callable[[], ClockReading] = read_clocks) -> None:
         self.problem = ''
         self.path = ''                     # where the newest file is
         self._folder = Path(folder)
@@ -121,7 +121,7 @@ class FlightRecorder:
                 if now.stamp > self._until:
                     self.stop()
 
-    def _began(self, cause: Cause, text: str, now: Moment) -> None:
+    def _began(self, cause: Cause, text: str, now: ClockReading) -> None:
         bus, rule, device = cause
         words = f'{bus} {"bus" if device is None else f"{device:03}"} {rule}: {text}'
         is_new = now.stamp - self._causes.get(cause, -REPEAT_NS) >= REPEAT_NS
@@ -132,7 +132,7 @@ class FlightRecorder:
             self._causes.setdefault(cause, now.stamp)
             self._file.remark(f'finding at {seconds(now.stamp)}: {printable(words.strip())}')
 
-    def save(self, why: str, now: Moment | None = None) -> str:
+    def save(self, why: str, now: ClockReading | None = None) -> str:
         """Begin a file, if none is being written; return its path, '' if it cannot be made."""
         with self._deciding:
             if self._file is not None:

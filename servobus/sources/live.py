@@ -14,7 +14,7 @@ from servobus.port.port_users import holders
 from servobus.port.port_users import is_terminal
 from servobus.port.preflight import busy
 from servobus.sources.capture import Wire
-from servobus.sources.capture_recorder import moment
+from servobus.sources.capture_recorder import read_clocks
 from servobus.sources.listener import in_use
 from servobus.sources.listener import STARTING
 from servobus.sources.listeners import listener_on
@@ -42,7 +42,7 @@ class LivePort(Source):
 
     def __init__(self, name: str, baud: int | None, tool: str) -> None:
         super().__init__()
-        self.began = moment()
+        self.began = read_clocks()
         _refuse_shared(name)
         self._tool = tool                              # who says what happens to the port
         self._bus = bus_name(name)

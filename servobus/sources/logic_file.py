@@ -20,14 +20,14 @@ import zlib
 from msg_defs.event import BREAK
 from msg_defs.event import Change
 from msg_defs.event import FRAMING
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_S
 from servobus.errors import UsageError
-from servobus.plain import printable
-from servobus.sources.text_bytes import ByteText
-from servobus.sources.text_bytes import holds_packet
-from servobus.sources.text_bytes import NAMED_MAX
-from servobus.sources.text_bytes import one_bus
-from servobus.sources.text_bytes import TextBytes
+from servobus.printable_text import printable
+from servobus.sources.byte_sides import ByteText
+from servobus.sources.byte_sides import holds_packet
+from servobus.sources.byte_sides import NAMED_MAX
+from servobus.sources.byte_sides import one_bus
+from servobus.sources.byte_sides import TextBytes
 
 SAMPLES_MAX_BYTES = 1 << 26
 METADATA_MAX_BYTES = 1 << 16

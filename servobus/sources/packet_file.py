@@ -25,7 +25,7 @@ from msg_defs.uart import byte_ns
 from servobus.sources import pcap
 from servobus.sources.capture import BAUD_MAX
 from servobus.sources.capture import change_of
-from servobus.sources.capture import Moment
+from servobus.sources.capture import ClockReading
 from servobus.sources.capture import Wire
 from servobus.sources.source import File
 from servobus.sources.source_name import DEFAULT_BAUD
@@ -101,7 +101,7 @@ class PacketFile(File):
     def _chunks(self, packet: pcap.CapturedPacket) -> Iterator[Chunk]:
         stamp, bus = packet.stamp, packet.interface.name
         if not self.began.stamp:
-            self.began = Moment(stamp, stamp)
+            self.began = ClockReading(stamp, stamp)
         if bus not in self.wires:
             self.wires[bus] = Wire(bus, min(packet.interface.speed, BAUD_MAX) or DEFAULT_BAUD,
                                    port=packet.interface.about)

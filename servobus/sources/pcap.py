@@ -16,8 +16,8 @@ from typing import Any
 from typing import BinaryIO
 from typing import NamedTuple
 
-from msg_defs.units import NS_PER_S
-from servobus.plain import printable
+from msg_defs.nanoseconds import NS_PER_S
+from servobus.printable_text import printable
 
 LINK_USB_LINUX, LINK_USB_LINUX_MMAPPED, LINK_USBPCAP = 189, 220, 249
 LINK_USER0 = 147                   # ours: packet_file.py

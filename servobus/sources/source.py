@@ -18,14 +18,14 @@ from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
 from msg_defs.uart import IDLE_S
-from servobus.plain import printable
+from servobus.printable_text import printable
+from servobus.sources.byte_sides import ByteText
 from servobus.sources.capture import BAD_TEXT_MAX_LENGTH
+from servobus.sources.capture import ClockReading
 from servobus.sources.capture import lines
-from servobus.sources.capture import Moment
 from servobus.sources.capture import Reader
 from servobus.sources.capture import Wire
 from servobus.sources.source_name import DEFAULT_BAUD
-from servobus.sources.text_bytes import ByteText
 
 READ_SIZE = 65_536
 _BYTE_NS = 10_000_000_000          # over the baud rate
@@ -47,7 +47,7 @@ class Source:
     total = ended = 0
 
     def __init__(self) -> None:
-        self.began = Moment(0, 0)
+        self.began = ClockReading(0, 0)
         self.wires: dict[str, Wire] = {}
 
     def chunks(self) -> Chunks:

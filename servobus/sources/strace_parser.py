@@ -30,6 +30,7 @@ from msg_defs.event import CLOSED
 from msg_defs.event import DTR
 from msg_defs.event import GAVE_UP
 from msg_defs.event import GONE
+from msg_defs.event import HAS_ADDED_RETURN
 from msg_defs.event import HOLDS_LINES
 from msg_defs.event import IN
 from msg_defs.event import LINE_MODE
@@ -76,6 +77,7 @@ _LFLAG = re.compile(rb'c_lflags?=(0x[0-9a-f]+|0)?')     # strace prints nothing 
 _IFLAG = re.compile(rb'c_iflags?=(0x[0-9a-f]+|0)?')
 _OFLAG = re.compile(rb'c_oflags?=([0-9a-fx|]*)')        # as 0|0|0x5
 _ADDING = termios.OPOST | termios.ONLCR
+_NEW_LINE = b'\\x0a'               # as strace prints it
 _CHANGING = termios.ICRNL | termios.INLCR | termios.IGNCR | termios.ISTRIP | termios.IXON
 _OSPEED = re.compile(rb'c_ospeed=(\d+)')
 _RATES = {getattr(termios, name): int(name[1:]) for name in dir(termios)
@@ -210,6 +212,9 @@ class StraceParser:
             yield from _rate(port, stamp)
             yield from _before_write(port, stamp, thread)
             yield from _transfer(port, OUT, arguments, result, stamp, thread)
+            if port.line_mode & ADDS_RETURNS and _NEW_LINE in arguments:
+                yield PortEvent(stamp, port.name, LINE_MODE,
+                                value=port.line_mode | HAS_ADDED_RETURN)
         elif name in _READS and result > 0:
             yield from _rate(port, end)
             arrived = self._arrived(port, begin, end)

@@ -17,8 +17,8 @@ from msg_defs.event import Change
 from msg_defs.event import IN
 from msg_defs.event import LOST
 from msg_defs.event import OUT
-from servobus.sources.text_bytes import packet_size
-from servobus.sources.text_bytes import TextBytes
+from servobus.sources.byte_sides import packet_size
+from servobus.sources.byte_sides import TextBytes
 
 _FRONT = r'\s*(?:\[pid +(\d+)\] |(\d+) +)?(?:[\d:.]+ +|\( *\+? *[\d.]+\) +){0,3}'
 _ANY_CALL = re.compile(_FRONT + r'(\w+\(.*(?:\)\s+= (?:-?\d|\?)|<unfinished \.\.\.>$)'

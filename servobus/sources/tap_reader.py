@@ -26,8 +26,8 @@ from msg_defs.event import Chunk
 from msg_defs.event import CLOSED
 from msg_defs.event import IN
 from msg_defs.event import OUT
-from servobus.plain import printable
 from servobus.port.readable import readable
+from servobus.printable_text import printable
 from servobus.sources import tap_sender as sent
 
 HOLD_S = 0.06                              # three times what a sender lets gather

@@ -18,7 +18,7 @@ from typing import cast
 
 from msg_defs.event import Chunk
 from servobus.errors import UsageError
-from servobus.sources.capture import Moment
+from servobus.sources.capture import ClockReading
 from servobus.sources.capture import STAMP_END
 from servobus.sources.pcap import is_pcap
 from servobus.sources.pcap import LINK_USB_LINUX
@@ -127,7 +127,7 @@ class UsbFile(File):
                 if chunk.stamp < STAMP_END:        # else the file is damaged
                     newest = max(newest, chunk.stamp)
                 if not self.began.stamp:
-                    self.began = Moment(newest, newest)
+                    self.began = ClockReading(newest, newest)
                 yield chunk._replace(stamp=newest)
 
     def _problems(self) -> list[str]:

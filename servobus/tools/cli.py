@@ -20,9 +20,9 @@ from typing import TextIO
 
 from servobus.errors import ParameterError
 from servobus.errors import UsageError
-from servobus.plain import plain_streams
-from servobus.plain import printable
 from servobus.port.port_error import PortError
+from servobus.printable_text import plain_streams
+from servobus.printable_text import printable
 from servobus.tools.command import take_over
 
 DONE, COULD_NOT_RUN, WRONG_USAGE = 0, 1, 2

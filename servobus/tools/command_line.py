@@ -11,7 +11,7 @@ from typing import NoReturn
 
 from servobus.errors import nearest
 from servobus.errors import UsageError
-from servobus.plain import printable
+from servobus.printable_text import printable
 from servobus.tools.cli import wrapped
 from servobus.tools.version import version_of
 

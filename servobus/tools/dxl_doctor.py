@@ -23,13 +23,17 @@ from servobus.examination import ENOUGH_TRAFFIC_S
 from servobus.examination import Examination
 from servobus.examination import GIVE_UP_SILENCE_S
 from servobus.model.models import Models
-from servobus.plain import printable
 from servobus.port.port_error import PortError
-from servobus.sources import silence
+from servobus.printable_text import printable
+from servobus.sources import silence_reasons
 from servobus.sources.capture import Wire
 from servobus.sources.flight_recorder import FlightRecorder
 from servobus.sources.opening import open_source
 from servobus.sources.source_name import DEFAULT_BAUD
+from servobus.tools.bus_options import add_bus_options
+from servobus.tools.bus_options import models_of
+from servobus.tools.bus_options import parse_run
+from servobus.tools.bus_options import RUN
 from servobus.tools.cli import DONE
 from servobus.tools.cli import exit_code
 from servobus.tools.cli import one_line
@@ -37,8 +41,8 @@ from servobus.tools.cli import print_problems
 from servobus.tools.cli import run_tool
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
+from servobus.tools.doctor import computer_facts
 from servobus.tools.doctor import explain
-from servobus.tools.doctor import machine
 from servobus.tools.doctor.answer_screen import HEIGHT
 from servobus.tools.doctor.answer_screen import screen
 from servobus.tools.doctor.answer_screen import WIDTH
@@ -58,10 +62,6 @@ from servobus.tools.doctor.verdict import make_verdict
 from servobus.tools.doctor.verdict import Verdict
 from servobus.tools.dump.screen import has_colours
 from servobus.tools.dump.screen import ProgressLine
-from servobus.tools.run import add_bus_options
-from servobus.tools.run import models_of
-from servobus.tools.run import parse_run
-from servobus.tools.run import RUN
 
 PROGRESS_EVERY_S = 1.0
 FLIGHT_FOLDER_BYTES = 1_000_000_000  # bytes of the folder
@@ -227,7 +227,7 @@ class _DoctorRun:
         buses = self._examination.buses(source.is_timed)
         if program is None:
             name, is_quiet = self._options.source, not self._examination.bytes
-            verdict = make_verdict(name, buses, seconds, source.is_timed, silence.reasons(
+            verdict = make_verdict(name, buses, seconds, source.is_timed, silence_reasons.reasons(
                 name, source.is_live) if is_quiet else ())
             more = {}
         else:
@@ -239,17 +239,18 @@ class _DoctorRun:
     def _write_report(self, seconds: float) -> None:
         options, is_timed = self._options, self._source.is_timed
         ports = self._program.ports if self._program is not None else \
-            list(filter(None, [machine.port_of(options.source)]))
+            list(filter(None, [computer_facts.port_of(options.source)]))
         buses = self._examination.buses(is_timed)
         shown, names = anonymous(buses), new_names(buses)
-        verdict = make_verdict(machine.plain_name(options.source, bool(self._command)), shown,
-                               seconds, is_timed, [] if self._examination.bytes else [NOTHING])
-        about = [*machine.system(), *machine.adapters(ports, options.with_host)]
+        source = computer_facts.plain_name(options.source, bool(self._command))
+        verdict = make_verdict(source, shown, seconds, is_timed,
+                               [] if self._examination.bytes else [NOTHING])
+        about = [*computer_facts.system(), *computer_facts.adapters(ports, options.with_host)]
         if self._program is not None and (error := self._program.ending.error):
             about.append('error of the program: '
-                         + (error if options.with_host else machine.plain_text(error)))
+                         + (error if options.with_host else computer_facts.plain_text(error)))
         if options.with_host:
-            about += machine.personal(options.source, self._command)
+            about += computer_facts.personal(options.source, self._command)
         text = make_report(verdict, shown, seconds, about, new_devices(options.devices, names),
                            options.protocol, self._window.capture(names))
         with open(options.report, 'w', encoding='utf-8') as file:

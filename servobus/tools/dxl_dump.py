@@ -17,9 +17,12 @@ from servobus.errors import UsageError
 from servobus.model.models import check_models
 from servobus.model.models import model_files
 from servobus.model.models import Models
-from servobus.plain import printable
+from servobus.printable_text import printable
 from servobus.settings import settings_of
 from servobus.sources.capture import Wire
+from servobus.tools.bus_options import add_bus_options
+from servobus.tools.bus_options import models_of
+from servobus.tools.bus_options import refuse_run_word
 from servobus.tools.cli import COULD_NOT_RUN
 from servobus.tools.cli import DONE
 from servobus.tools.cli import print_problems
@@ -29,16 +32,13 @@ from servobus.tools.command_line import Parser
 from servobus.tools.dump.packet_check import bytes_of
 from servobus.tools.dump.packet_check import check_packets
 from servobus.tools.dump.packet_lines import TIMES
-from servobus.tools.dump.recordings import CAPTURE
-from servobus.tools.dump.recordings import FORMATS
-from servobus.tools.dump.recordings import MCAP
-from servobus.tools.dump.recordings import PCAPNG
+from servobus.tools.dump.recording_writers import CAPTURE
+from servobus.tools.dump.recording_writers import FORMATS
+from servobus.tools.dump.recording_writers import MCAP
+from servobus.tools.dump.recording_writers import PCAPNG
 from servobus.tools.dump.screen import has_colours
 from servobus.tools.dump.session import Session
 from servobus.tools.dump.wireshark_tables import write_tables
-from servobus.tools.run import add_bus_options
-from servobus.tools.run import models_of
-from servobus.tools.run import refuse_run_word
 
 HIGHEST_ID = 255                   # damage may make any byte of an ID
 EXAMPLES = """examples:

@@ -27,20 +27,20 @@ from msg_defs.event import Chunk
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from servobus.errors import UsageError
-from servobus.plain import printable
 from servobus.port.pty import Pty
 from servobus.port.readable import is_writable
+from servobus.printable_text import printable
 from servobus.sources.capture import Wire
 from servobus.sources.opening import open_file
 from servobus.sources.source import File
 from servobus.sources.source import RawFile
+from servobus.tools.bus_options import BAUD
+from servobus.tools.bus_options import refuse_run_word
 from servobus.tools.cli import DONE
 from servobus.tools.cli import print_problems
 from servobus.tools.cli import run_tool
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser
-from servobus.tools.run import BAUD
-from servobus.tools.run import refuse_run_word
 
 SETTLE_S = 0.5                     # a reader has opened the port, and sets it up
 LAST_QUESTION_S = 1.5              # at the end: until the last instruction is given up

@@ -39,7 +39,7 @@ from mecarover_fakes.traffic import write
 from mecarover_fakes.traffic import write_register
 from msg_defs.event import UNKNOWN
 from servobus.bus.decoder import Settings
-from servobus.bus.expected import parse_all
+from servobus.bus.expected_devices import parse_all
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 

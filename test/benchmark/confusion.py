@@ -25,7 +25,7 @@ from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
 from servobus.bus.decoder import Settings
-from servobus.bus.expected import parse_all
+from servobus.bus.expected_devices import parse_all
 from servobus.bus.report import Finding
 from servobus.model.models import Models
 from servobus.monitor import Monitor

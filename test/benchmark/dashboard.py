@@ -16,8 +16,8 @@ from tempfile import TemporaryDirectory
 import time
 from urllib.request import urlopen
 
+from mecarover_fakes.bus_ptys import FakeBus
 from mecarover_fakes.fake_bus import make_devices
-from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.line import Line
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import PATTERNS
@@ -50,7 +50,7 @@ def run(options):
             'dxl_monitor.start', '--ros-args', '-p', f"ports:=['{bus.path}']",
             '-p', f"devices:=['{ENTRY}']", env=env, quiet=True))
         dashboard = stack.enter_context(Child(
-            'mecarover_dashboard.serve', '--port', '0',
+            'mecarover_dashboard.ros_server', '--port', '0',
             '--history', str(folder / 'history.sqlite'), env=env, quiet=True))
         page = Page(stack.enter_context(
             urlopen(f'{dashboard.read_line().split()[1]}/events', timeout=START_S)))

@@ -18,7 +18,7 @@ from benchmark.traffic import packets
 from benchmark.traffic import TRACE
 from benchmark.traffic import trace_packets
 from msg_defs.dxl_packet import Framer
-from msg_defs.frame import IS_STATUS
+from msg_defs.servo_frame import IS_STATUS
 from rigs.harness import Figure
 from rigs.harness import interleaved
 from servobus.bus.decoder import Settings

@@ -13,7 +13,7 @@ from mecarover_dashboard.cdr import statuses
 from mecarover_dashboard.request_guard import is_ours
 from mecarover_dashboard.state import State
 from mecarover_dashboard.state import TOPICS
-from servobus.plain import printable
+from servobus.printable_text import printable
 
 TEXT_LIMIT = 500
 NAMES = ('dxl_monitor: 001', 'dxl_monitor: 001 knee', 'dxl_monitor: left/011', 'n: bus', ': 002',

@@ -8,7 +8,7 @@ from fuzz.script import Script
 from msg_defs.event import IN
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
-from msg_defs.frame import IS_STATUS
+from msg_defs.servo_frame import IS_STATUS
 from servobus.bus.decoder import BusDecoder
 from servobus.bus.decoder import Settings
 from servobus.model.models import Models

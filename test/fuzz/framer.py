@@ -17,8 +17,8 @@ from msg_defs.dxl_packet import Framer
 from msg_defs.dxl_packet import MAX_FRAME
 from msg_defs.dxl_packet import packet_of
 from msg_defs.dxl_packet import STATUS
-from msg_defs.frame import is_good
-from msg_defs.frame import IS_STATUS
+from msg_defs.servo_frame import is_good
+from msg_defs.servo_frame import IS_STATUS
 from rigs.bus import frames
 
 NOISE_KEPT = 256

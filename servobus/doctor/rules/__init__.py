@@ -9,7 +9,7 @@ from servobus.doctor.rules import feetech
 from servobus.doctor.rules import goals
 from servobus.doctor.rules import missing
 from servobus.doctor.rules import noise
-from servobus.doctor.rules import requests
+from servobus.doctor.rules import program
 from servobus.doctor.rules import setup
 from servobus.doctor.rules import timing
 
@@ -21,7 +21,7 @@ FAMILIES: dict[str, tuple[Rule, ...]] = {
     'Devices are missing': missing.RULES,
     'Goals and joints': goals.RULES,
     'The devices themselves': devices.RULES,
-    'What the program does': requests.RULES,
+    'What the program does': program.RULES,
     'Time': timing.RULES,
     'Feetech servos': feetech.RULES}
 RULES = tuple([rule for rules in FAMILIES.values() for rule in rules])

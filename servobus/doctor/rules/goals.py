@@ -14,7 +14,7 @@ from operator import ne
 
 from msg_defs.diagnostics import Level
 from msg_defs.dxl1_instruction import FEETECH
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_S
 from servobus.bus import evidence as ev
 from servobus.bus.report import DeviceReport
 from servobus.bus.table import Observed

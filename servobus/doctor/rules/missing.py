@@ -15,8 +15,8 @@ from statistics import median
 from msg_defs.diagnostics import Level
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_packet import BROADCAST
-from msg_defs.units import NS_PER_MS
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_MS
+from msg_defs.nanoseconds import NS_PER_S
 from servobus.bus import evidence as ev
 from servobus.bus import report as words
 from servobus.bus.report import DeviceReport
@@ -251,7 +251,7 @@ def no_answer(case: Case) -> Claims:
                         f'{number:03}: if it answers then, its time-out was too short')
         elif not _devices_after(case, number):
             yield _no_answer_claim(case, number)
-    yield from _claim_at_the_end(case)
+    yield from _claim_fatal_question(case)
     for device in case.devices:
         if device.state == words.EXPECTED and device.last_heard_s is None \
                 and not (device.window.asked or device.window.not_served):
@@ -311,7 +311,7 @@ def _wait_figures(case: Case, number: int) -> dict[str, str]:
     return {'wait per request (ms)': f'{median(waits) / 1000:.1f}'} if waits else {}
 
 
-def _claim_at_the_end(case: Case) -> Claims:
+def _claim_fatal_question(case: Case) -> Claims:
     """Look at the question on which a program ended by itself, with an error."""
     yield from _claim_unacknowledged(case)
     if fatal_late_answer(case):

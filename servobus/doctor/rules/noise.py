@@ -22,9 +22,9 @@ from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_instruction import NAMES
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.dxl_packet import HEADER
+from msg_defs.nanoseconds import NS_PER_S
 from msg_defs.uart import byte_ns
 from msg_defs.uart import heard_at
-from msg_defs.units import NS_PER_S
 from servobus.bus import evidence as ev
 from servobus.bus import report as words
 from servobus.bus.report import DeviceReport
@@ -55,7 +55,7 @@ from servobus.doctor.symptom import SILENCE
 from servobus.doctor.symptom import TRAFFIC
 from servobus.doctor.thresholds import INCIDENTS_MIN
 from servobus.doctor.thresholds import WINDOW_S
-from servobus.plain import printable
+from servobus.printable_text import printable
 
 NOISE_MIN_PACKETS = 5              # damaged ones: fewer have no common cause
 NOISE_MIN_SHARE = 0.001            # share of all packets
@@ -71,8 +71,8 @@ DAMAGE_ONSET_S = 1.0               # by then it has shown whether something else
 TURNAROUND_MIN_SHARE = 0.01        # share of the answers, with a damaged first byte
 FIRST_BYTE_BY_CHANCE = 1 / 8       # share of damage that hits a first byte by chance
 CUT_MIN_SHARE = 0.9                # share of the noise: nothing else is wrong
-OVERLONG_MIN_ANSWERS = 5            # with bytes after them
-OVERLONG_MIN_SHARE = 0.2            # share of its answers: a second device answers each time
+DUPLICATE_MIN_ANSWERS = 5          # with bytes after them
+DUPLICATE_MIN_SHARE = 0.2          # share of the questions: a second device answers each time
 TWIN_MIN_ANSWERS = 15              # the shares of fewer differ by chance
 TWIN_MIN_FACTOR = 1.5              # two answer twice as often as one
 AGAIN_MIN_SHARE = 0.7              # share of the damage, where its answer comes once more
@@ -549,7 +549,7 @@ def _answers_twice(case: Case) -> int | None:
 def _says_too_much(case: Case, device: DeviceReport) -> bool:
     """Tell whether bytes follow the answers of this device alone: a cable only changes them."""
     overlong, asked = device.window.overlong_replies, device.window.asked
-    if overlong < max(OVERLONG_MIN_ANSWERS, OVERLONG_MIN_SHARE * asked) or case.count(ev.LATE):
+    if overlong < max(DUPLICATE_MIN_ANSWERS, DUPLICATE_MIN_SHARE * asked) or case.count(ev.LATE):
         return False
     others = _others_that_answer(case, device, overlong)
     return bool(others) and all(10 * one.window.overlong_replies <= overlong for one in others)
@@ -694,8 +694,9 @@ def _noise_claims(case: Case) -> Claims:
             or case.damage_s < DAMAGE_ONSET_S:
         return
     hit = [device.id for device in case.devices if device.window.spoilt]
-    asked = _asked_damaged(case) + sum(        # some of them only a servo saw
-        one.detail.error == CRC_ERROR for one in case.incidents(ev.REFUSED))
+    asked = _asked_damaged(case)
+    if ev.REFUSED in case.incidents_by_kind:           # some of them only a servo saw
+        asked += [one.detail.error for one in case.incidents(ev.REFUSED)].count(CRC_ERROR)
     both_ways = asked >= BOTH_WAYS_MIN_SHARE * case.damage
     if not both_ways and _most_hit(case) is not None:
         return
@@ -718,8 +719,7 @@ def _noise_claims(case: Case) -> Claims:
                     step=f'{STOP_OTHERS}: what is damaged then is interference')
         return
     yield Claim(f'{share_of} of the packets damaged, {way}, of '
-                'several devices: check termination, ground, shielding and motor cables; try a '
-                'lower baud rate',
+                'several devices: check termination, ground, shield, motor cables, baud rate',
                 {**picture,
                  'share': share(case.damage, packets + case.damage),
                  'damaged instructions': asked,

@@ -20,9 +20,9 @@ from statistics import median
 from msg_defs.diagnostics import Level
 from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import name_of
+from msg_defs.nanoseconds import NS_PER_MS
+from msg_defs.nanoseconds import NS_PER_S
 from msg_defs.uart import byte_ns
-from msg_defs.units import NS_PER_MS
-from msg_defs.units import NS_PER_S
 from servobus.bus import evidence as ev
 from servobus.bus.evidence import WAITS_KEPT
 from servobus.bus.report import Cycle
@@ -476,9 +476,7 @@ def return_delay(case: Case, device: DeviceReport) -> Found | None:
     """
     register = case.values[device.id].get('Return Delay Time')
     low, high = RETURN_DELAY_MS
-    # What a program measures has the delays of its computer in it.
-    delay_ms = 0.0 if case.has_sides else _measured_ms(device)
-    how, source = 'reply latency', 'measured'
+    delay_ms, how, source = _measured_ms(device), 'reply latency', 'measured'
     if register is not None and register.value.number is not None:
         delay_ms, how, source = 1000 * register.value.number, 'Return Delay Time', 'yes'
         high = inf

@@ -15,7 +15,7 @@ import io
 from msg_defs.diagnostics import Level
 from msg_defs.event import Chunk
 from servobus.bus.report import BusReport
-from servobus.sources.capture import Moment
+from servobus.sources.capture import ClockReading
 from servobus.sources.capture import Wire
 from servobus.sources.capture import Writer
 
@@ -52,7 +52,7 @@ class ErrorWindow:
     def capture(self, names: Mapping[str, str]) -> bytes:
         """Return it as a capture, with the buses renamed and without their ports."""
         file = io.BytesIO()
-        writer = Writer(file, Moment(0, self._chunks[0][0].stamp if self._chunks else 0))
+        writer = Writer(file, ClockReading(0, self._chunks[0][0].stamp if self._chunks else 0))
         for chunk, wire in self._chunks:
             name = names.get(chunk.bus, 'bus')
             writer.write_chunk(wire._replace(name=name, port=''), chunk._replace(bus=name))

@@ -32,10 +32,10 @@ import zlib
 
 from msg_defs.diagnostics import Level
 from msg_defs.event import Chunk
-from servobus.bus.expected import split_bus
+from servobus.bus.expected_devices import split_bus
 from servobus.doctor.finding_log import BusSummary
 from servobus.errors import UsageError
-from servobus.plain import printable
+from servobus.printable_text import printable
 from servobus.sources.capture import check_new
 from servobus.sources.capture import lines
 from servobus.sources.capture import Reader

@@ -32,9 +32,9 @@ from servobus.bus.report import RAISED
 from servobus.bus.report import RATE_REFUSED
 from servobus.bus.report import SERVO_LIBRARIES
 from servobus.bus.report import STOLE_REPLIES
-from servobus.plain import printable
 from servobus.port.port_users import holders
 from servobus.port.port_users import is_running
+from servobus.printable_text import printable
 from servobus.sources.capture import Wire
 from servobus.sources.source import Chunks
 from servobus.sources.source import Source

@@ -1,6 +1,6 @@
 # Copyright 2026 The mecarover_serial authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is said of a program that was run; why it said nothing, if so (else sources/silence.py)."""
+"""What is said of a program that was run, and why it said nothing, if so."""
 
 from __future__ import annotations
 

@@ -17,11 +17,12 @@ from typing import Any
 from typing import NamedTuple
 
 from msg_defs.diagnostics import Level
-from servobus.bus.expected import spans
+from servobus.bus.expected_devices import spans
 from servobus.bus.report import CONNECTED
 from servobus.bus.report import DeviceReport
 from servobus.bus.report import Finding
 from servobus.bus.report import MOVED
+from servobus.doctor.device_states import LISTED_AS
 from servobus.doctor.facts import is_rate_search
 from servobus.doctor.finding_log import BusSummary
 from servobus.doctor.finding_log import LoggedFinding
@@ -30,11 +31,10 @@ from servobus.doctor.open_symptoms import open_symptoms
 from servobus.doctor.rule import PORT
 from servobus.doctor.rules import accounts_for
 from servobus.doctor.rules import BY_NAME
-from servobus.doctor.states import LISTED_AS
-from servobus.plain import printable
 from servobus.plain_data import bus_data
 from servobus.plain_data import device_data
 from servobus.plain_data import finding_data
+from servobus.printable_text import printable
 from servobus.tools.doctor import explain
 
 WELL, NOTHING_HEARD, WARNING, ERROR = 0, 1, 3, 4      # exit codes; 2 is a wrong command line

@@ -30,11 +30,11 @@ from msg_defs.event import Change
 from msg_defs.event import CLOSED
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
-from msg_defs.frame import Flaw
-from msg_defs.frame import Frame
-from msg_defs.frame import Frames
-from msg_defs.frame import GLITCH
-from msg_defs.frame import IS_STATUS
+from msg_defs.servo_frame import Flaw
+from msg_defs.servo_frame import Frame
+from msg_defs.servo_frame import Frames
+from msg_defs.servo_frame import GLITCH
+from msg_defs.servo_frame import IS_STATUS
 from msg_defs.uart import BITS_PER_BYTE
 from servobus.bus import evidence as ev
 from servobus.bus.decoder import BusDecoder

@@ -21,7 +21,7 @@ from msg_defs.diagnostics import metric_status
 from msg_defs.diagnostics import Status
 from msg_defs.diagnostics import topic_names
 from msg_defs.event import Chunk
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_S
 from servobus.errors import UsageError
 from servobus.monitor import Monitor
 from servobus.sources.source import Source

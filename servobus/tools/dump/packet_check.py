@@ -23,7 +23,7 @@ from servobus.bus.decoder import Settings
 from servobus.errors import UsageError
 from servobus.model.models import Models
 from servobus.monitor import Monitor
-from servobus.sources.byte_text import read_text
+from servobus.sources.pasted_text import read_text
 from servobus.tools.dump.decode import parts_of
 from servobus.tools.dump.listing import Entry
 from servobus.tools.dump.listing import Listing

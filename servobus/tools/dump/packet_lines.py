@@ -14,7 +14,7 @@ import time
 
 from msg_defs.dxl_instruction import ALERT
 from msg_defs.dxl_packet import BROADCAST
-from msg_defs.frame import OPEN
+from msg_defs.servo_frame import OPEN
 from servobus.bus.device import Device
 from servobus.tools.dump.decode import Part
 from servobus.tools.dump.listing import DAMAGED

@@ -12,8 +12,8 @@ from typing import TextIO
 from msg_defs.diagnostics import Level
 from servobus.bus.report import BusReport
 from servobus.bus.report import PROTOCOL_2
-from servobus.plain import on_screen
-from servobus.plain import plain
+from servobus.printable_text import on_screen
+from servobus.printable_text import plain
 from servobus.tools.dump.packet_lines import DIM
 from servobus.tools.dump.packet_lines import RED
 from servobus.tools.dump.packet_lines import YELLOW

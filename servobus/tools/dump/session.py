@@ -22,10 +22,11 @@ from servobus.bus.report import BusReport
 from servobus.bus.report import PROTOCOL_SHOWN_BYTES
 from servobus.doctor.case import OPTIONS
 from servobus.monitor import Monitor
-from servobus.plain import printable
+from servobus.printable_text import printable
 from servobus.settings import settings_of
 from servobus.sources.opening import open_source
-from servobus.sources.silence import reasons
+from servobus.sources.silence_reasons import reasons
+from servobus.tools.bus_options import models_of
 from servobus.tools.cli import print_problems
 from servobus.tools.dump.decode import parts_of
 from servobus.tools.dump.filter import is_wanted
@@ -33,13 +34,12 @@ from servobus.tools.dump.json import json_line
 from servobus.tools.dump.listing import Entry
 from servobus.tools.dump.listing import Listing
 from servobus.tools.dump.packet_lines import Lines
-from servobus.tools.dump.recordings import open_recording
-from servobus.tools.dump.recordings import PacketRecording
+from servobus.tools.dump.recording_writers import open_recording
+from servobus.tools.dump.recording_writers import PacketRecording
 from servobus.tools.dump.screen import ProgressLine
 from servobus.tools.dump.screen import Screen
 from servobus.tools.dump.stats import stats
 from servobus.tools.dump.stats import summary
-from servobus.tools.run import models_of
 
 PAINT_EVERY_S = 1.0
 PROGRESS_EVERY_S = 0.5

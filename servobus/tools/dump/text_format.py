@@ -18,9 +18,9 @@ from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_instruction import NAMES
 from msg_defs.dxl_packet import Packet
 from msg_defs.dxl_packet import STATUS
-from msg_defs.frame import OPEN
+from msg_defs.servo_frame import OPEN
 from servobus.bus.evidence import text_of
-from servobus.bus.expected import spans
+from servobus.bus.expected_devices import spans
 from servobus.tools.dump.decode import Part
 from servobus.tools.dump.listing import Entry
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from msg_defs import dxl1_instruction
 from msg_defs import dxl_instruction
-from servobus.bus.expected import runs
+from servobus.bus.expected_devices import runs
 from servobus.model.control_table import Field
 from servobus.model.models import Models
 

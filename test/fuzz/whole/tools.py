@@ -36,10 +36,10 @@ from rigs.usb_pcap import pcap
 from rigs.usb_pcap import pcapng
 from rigs.usb_pcap import USBPCAP
 from servobus.sources import live
+from servobus.tools import bus_options as common
 from servobus.tools import dxl_doctor as doctor
 from servobus.tools import dxl_dump as dump
 from servobus.tools import replay
-from servobus.tools import run as common
 from servobus.tools.doctor import error_window
 
 RUNS = Counter()

@@ -19,7 +19,7 @@ from rigs.bus.scenes import BROKEN
 from rigs.bus.scenes import HEALTHY as WELL
 from rigs.bus.wire import S
 from servobus.bus.decoder import Settings
-from servobus.bus.expected import parse_all
+from servobus.bus.expected_devices import parse_all
 from servobus.model.models import Models
 from servobus.monitor import Monitor
 

@@ -12,8 +12,8 @@ import threading
 import time
 import tty
 
+from mecarover_fakes.bus_ptys import FakeBus
 from mecarover_fakes.fake_bus import make_devices
-from mecarover_fakes.fake_port import FakeBus
 from mecarover_fakes.line import Line
 from mecarover_fakes.master import Master
 from mecarover_fakes.traffic import none

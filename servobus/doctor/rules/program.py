@@ -16,7 +16,7 @@ from msg_defs.dxl_instruction import Instruction
 from msg_defs.dxl_instruction import name_of
 from msg_defs.dxl_packet import BROADCAST
 from msg_defs.event import HOLDS_LINES
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_S
 from servobus.bus import evidence as ev
 from servobus.bus.report import BusReport
 from servobus.bus.report import CONNECTED
@@ -118,7 +118,7 @@ def unread_answers(case: Case) -> Claims:
                     {'read in part': case.count(ev.STUFFED)}, covers=tuple(case.by_id))
         return
     split = case.count(ev.SPLIT)
-    if split >= max(INCIDENTS_MIN, SPLIT_MIN_SHARE * case.increase_of('instructions')):
+    if split >= INCIDENTS_MIN and split >= SPLIT_MIN_SHARE * case.increase_of('instructions'):
         yield Claim(f'the program reads a part of an answer and asks on, {split} times in 10 s: '
                     'let it read until the answer is whole, or its time-out is over',
                     {'read in part': split}, covers=tuple(case.by_id))
@@ -738,7 +738,8 @@ def _claim_unanswered(cycle: Cycle, device: DeviceReport) -> Claim:
                  covers=cycle.ids[at + 1:], device=device.id)
 
 
-@Rule(symptoms={'unanswered group reads'},
+@Rule(needs_incident=(ev.MISSED,),
+      symptoms={'unanswered group reads'},
       accounts_for={*SILENCE, *DAMAGE, 'late answers', 'slow cycle', 'absence of several'})
 def group_read_collides(case: Case) -> Claims:
     """

@@ -20,14 +20,14 @@ from msg_defs.event import IN
 from msg_defs.event import LOST
 from msg_defs.event import OUT
 from msg_defs.event import UNKNOWN
-from msg_defs.units import NS_PER_S
-from servobus.plain import printable
+from msg_defs.nanoseconds import NS_PER_S
+from servobus.printable_text import printable
+from servobus.sources.byte_sides import ByteText
+from servobus.sources.byte_sides import settle_sides
+from servobus.sources.byte_sides import TextBytes
 from servobus.sources.hex_dump import HexDump
 from servobus.sources.strace_text import StraceText
 from servobus.sources.strace_text import unescaped
-from servobus.sources.text_bytes import ByteText
-from servobus.sources.text_bytes import settle_sides
-from servobus.sources.text_bytes import TextBytes
 
 DAY_NS = 86_400 * NS_PER_S
 TIME_MIN_DIGITS = 3                # decimals of a second: coarser times say nothing of a bus

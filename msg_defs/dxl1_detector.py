@@ -10,8 +10,8 @@ does a packet that the program wrote as a whole: no byte in front of it, none af
 from typing import Any
 from typing import NamedTuple
 
-from msg_defs.frame import Frame
-from msg_defs.frame import GLITCH
+from msg_defs.servo_frame import Frame
+from msg_defs.servo_frame import GLITCH
 
 PROOF_FRAMES = 3                   # frames directly after each other that prove the family
 PROOF_SINGLE_FRAMES = 16           # or so many in all, with fewer wrong ones than 16 to each

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 from msg_defs.diagnostics import Level
 from msg_defs.diagnostics import number
-from msg_defs.timing import WINDOW_S
+from msg_defs.running_statistics import WINDOW_S
 from servobus.bus import report as words
 from servobus.bus.decoder import Settings
 from servobus.bus.report import BusReport

@@ -15,7 +15,7 @@ INSTRUCTION_2 = 1                  # Protocol 2.0
 INSTRUCTION_1 = 2                  # the 1.0 family; its parameters are as wide as those of 2.0
 MALFORMED_1 = 3                    # the 1.0 family, and its parameters do not fit
 EITHER_1 = 4                       # the 1.0 family: an instruction or a status
-UNPROVEN_1 = 5                     # it looks like that and may be chance (dxl1_proof.py)
+UNPROVEN_1 = 5                     # it looks like that and may be chance (dxl1_detector.py)
 
 # Bytes of noise in front of a frame that count as none. A line that turns round leaves a byte or
 # two, on a real robot in front of one packet in thirteen; 3 cannot hide an instruction of 2.0.
@@ -34,7 +34,7 @@ class Flaw(NamedTuple):
 
 
 @lru_cache(maxsize=64)
-def ahead(repaired: bool, noise_length: int, unstuffed: bool = False) -> Flaw:
+def good_frame_flaw(repaired: bool, noise_length: int, unstuffed: bool = False) -> Flaw:
     """Return the flaw of a good frame; most are alike, so they are not made each time."""
     return Flaw('', repaired, noise_length, unstuffed)
 

@@ -27,8 +27,8 @@ from mecarover_fakes.traffic import Ask
 from mecarover_fakes.traffic import none
 from mecarover_fakes.virtual_uart import VirtualUart
 from mecarover_fakes.virtual_usb import VirtualUsb
-from msg_defs.frame import is_good
-from msg_defs.units import NS_PER_S
+from msg_defs.nanoseconds import NS_PER_S
+from msg_defs.servo_frame import is_good
 
 TICK_NS = 200_000                # shortest time between two writes, longest is
 PART_NS = 1_000_000              # for a part of a long packet

@@ -58,16 +58,16 @@ import time
 
 from servobus.port.readable import readable
 from vel2d_bridge import lost_port
-from vel2d_bridge.board import ACTED
-from vel2d_bridge.board import ALIVE
-from vel2d_bridge.board import AWAY
-from vel2d_bridge.board import BEATEN
-from vel2d_bridge.board import GOODBYE
-from vel2d_bridge.board import HANDLED
-from vel2d_bridge.board import HELD
-from vel2d_bridge.board import OWED
-from vel2d_bridge.board import PortRecord
-from vel2d_bridge.board import SharedBoard
+from vel2d_bridge.shared_memory import ACTED
+from vel2d_bridge.shared_memory import ALIVE
+from vel2d_bridge.shared_memory import AWAY
+from vel2d_bridge.shared_memory import BEATEN
+from vel2d_bridge.shared_memory import GOODBYE
+from vel2d_bridge.shared_memory import HANDLED
+from vel2d_bridge.shared_memory import HELD
+from vel2d_bridge.shared_memory import OWED
+from vel2d_bridge.shared_memory import PortRecord
+from vel2d_bridge.shared_memory import SharedBoard
 
 SILENCE = 200_000_000              # ns without a heartbeat: the bridge is frozen
 BEAT = 50_000_000                  # ns between heartbeats

@@ -22,8 +22,8 @@ from mecarover_dashboard.history_recorder import HistoryRecorder
 from mecarover_dashboard.history_recorder import ReadOnlyHistory
 from mecarover_serial.node_command_line import begin_node
 from mecarover_serial.node_command_line import complain_no_ros
-from servobus.plain import plain_streams
-from servobus.plain import printable
+from servobus.printable_text import plain_streams
+from servobus.printable_text import printable
 from servobus.tools.cli import COULD_NOT_RUN
 from servobus.tools.command_line import number
 from servobus.tools.command_line import Parser

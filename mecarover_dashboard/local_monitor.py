@@ -15,7 +15,7 @@ from typing import Protocol
 
 from mecarover_dashboard.state import TABLES
 from mecarover_dashboard.state import TIMING
-from mecarover_serial.memory import resident_memory
+from mecarover_serial.resident_memory import resident_memory
 from msg_defs.diagnostics import Level
 from msg_defs.diagnostics import metric_status
 from msg_defs.diagnostics import Status
@@ -41,7 +41,7 @@ TIMING_NS = 1_000_000_000
 NAMED = 3                           # groups of devices in a line
 
 
-class FedBus(Protocol):
+class LocalBus(Protocol):
     """A bus; a MonitoredBus is one."""
 
     monitor: Monitor
@@ -53,7 +53,7 @@ class FedBus(Protocol):
     def port_state(self) -> PortState: ...
 
 
-class Feed:
+class LocalMonitor:
     """
     Hands reports to `out(topic, statuses)`; used by one thread, but for what a page asks.
 
@@ -63,14 +63,14 @@ class Feed:
     def __init__(self, *, is_for_page: bool = False) -> None:
         self._is_for_page = is_for_page
         self.out: Callable[[str, Sequence[Status]], None] = lambda topic, statuses: None
-        self._logs: list[tuple[FedBus, FindingLog]] = []
+        self._logs: list[tuple[LocalBus, FindingLog]] = []
         self.begin: int | None = None
         self._now = 0
         self._places: dict[str, tuple[str, int]] = {}           # bus and ID, by status
         self._alarms = 0
         self._reported = self._timed = -math.inf     # on our clock
 
-    def add(self, bus: FedBus) -> None:
+    def add(self, bus: LocalBus) -> None:
         """Report on one more bus from now on."""
         self._logs.append((bus, FindingLog()))
         self._reported = -math.inf

@@ -59,7 +59,7 @@ class BaudCode(Baud):
 class FactoryId(Effect):
     """The device still has the factory ID 1, which another device was given."""
 
-    def play_on(self, device: FakeDevice) -> Play:
+    def affect_device(self, device: FakeDevice) -> Play:
         number = device.id
         device.renumber(FACTORY_ID)
         yield
@@ -155,7 +155,7 @@ class HighSupply(BeyondLimits):
 
     protocols = FAMILY_1
 
-    def play_on(self, device: FakeDevice) -> Play:
+    def affect_device(self, device: FakeDevice) -> Play:
         if device.model.protocol == 'feetech':
             device.set('Max Voltage Limit', LOW_MAXIMUM)
         device.voltage = TOO_MUCH * device.get('Max Voltage Limit') / 10
@@ -168,7 +168,7 @@ class HighSupply(BeyondLimits):
 class LowSupply(HighSupply):
     """A servo for 12 V on a supply of 7.4 V."""
 
-    def play_on(self, device: FakeDevice) -> Play:
+    def affect_device(self, device: FakeDevice) -> Play:
         device.voltage = LOW_SUPPLY
         yield
         device.voltage = VOLTAGE
