@@ -338,9 +338,9 @@ def page_with_screens(name: str) -> str:
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [head, ['---'] * len(head), *rows]
-    return ''.join('| ' + ' | '.join(cell.replace('|', '\\|') for cell in line) + ' |\n'
-                   for line in lines)
+    lines = ['| ' + ' | '.join(cell.replace('|', '\\|') for cell in line) + ' |\n'
+             for line in [head, *rows]]
+    return ''.join([lines[0], '|---' * len(head) + '|\n', *lines[1:]])
 
 
 def doctor() -> str:
