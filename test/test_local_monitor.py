@@ -27,7 +27,7 @@ import pytest
 from benchmark import confusion
 from benchmark.confusion_cases import Scene
 from mecarover_dashboard.local_monitor import conclusion
-from mecarover_dashboard.local_monitor import Feed
+from mecarover_dashboard.local_monitor import LocalMonitor
 from mecarover_fakes.fake_bus import make_devices
 from mecarover_fakes.fake_bus import make_line
 from mecarover_fakes.faults import parse
@@ -195,12 +195,12 @@ def test_what_is_handed_over_is_what_is_published():
     for topic, message in robot.messages():
         if topic != '/diagnostics':
             told.store_message(topic, message, 1.0)
-    feed = Feed()
-    feed.out = lambda topic, statuses: handed.store_message(topic, statuses, 1.0)
-    feed.add(SimpleNamespace(
+    monitor = LocalMonitor()
+    monitor.out = lambda topic, statuses: handed.store_message(topic, statuses, 1.0)
+    monitor.add(SimpleNamespace(
         monitor=SimpleNamespace(name='', alarms=lambda: 0), is_late=lambda now: False,
         report=lambda now: report, port_state=lambda: robot.port_state()))
-    feed.report(report.stamp)
+    monitor.report(report.stamp)
     for section in ('devices', 'buses'):
         rows = [{one.row_name: one for one in state.reports(section)} for state in (told, handed)]
         assert rows[0] == rows[1]
