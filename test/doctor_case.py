@@ -188,9 +188,10 @@ def _cycles(ids=(), ago_ns=(0,), every_ms=0, times=1, ago_ms=0.0, apart=0.0, of=
                  stamps=[NOW - ago for ago in ago_ns], **parts)]
 
 
-def _loop(late, usual, uneven=0, every_s=0.75, ago_s=2.0):
+def _loop(late, usual, uneven=0, every_s=0.75, ago_s=2.0, late_ms=25):
     late = [NOW - int((ago_s + every_s * n) * S) for n in reversed(range(late))]
-    return ([(NOW, 10 * MS)] * usual + [(NOW, 13 * MS)] * uneven + [(at, 25 * MS) for at in late],
+    return ([(NOW, 10 * MS)] * usual + [(NOW, 13 * MS)] * uneven
+            + [(at, late_ms * MS) for at in late],
             late)
 
 

@@ -87,6 +87,7 @@ OPEN = [
 SOUND = [
     heard(used(0)), heard(used(2)), heard(used(3, 1000)),       # as few are lost on a sound bus
     heard(used(3), incidents=tuple(LATE)),                      # they came, a little late
+    heard(used(3), incidents=tuple(note(ev.REBOOTED, ev.NoDetail(), 1))),      # it was told to
     heard(used(3), tried=frozenset(range(4))),                  # it tries one rate after the other
     heard(used(0), never_heard(2, Level.STALE)),                # an ID of a search
     heard(used(3, 0)),                                          # that too: nothing was ever there

@@ -141,9 +141,10 @@ def _silent(device: DeviceReport) -> _Symptom:
 def _misses_answers(report: BusReport, device: DeviceReport) -> bool:
     """Tell whether a device in use missed more in the run than a sound bus loses."""
     totals = device.totals
-    late = sum(one.kind in (ev.LATE, ev.SECOND_ANSWER) and one.device == device.id
-               for one in report.incidents)
-    return totals.answers > 0 and device.state == words.CONNECTED and not device.moved_to \
+    kinds = [one.kind for one in report.incidents if one.device == device.id]
+    late = kinds.count(ev.LATE) + kinds.count(ev.SECOND_ANSWER)
+    return totals.answers > 0 and ev.REBOOTED not in kinds \
+        and device.state == words.CONNECTED and not device.moved_to \
         and totals.missed - late >= max(INCIDENTS_MIN, MISSED_MIN_SHARE * totals.asked)
 
 

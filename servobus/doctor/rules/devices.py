@@ -6,11 +6,14 @@ from __future__ import annotations
 
 from math import inf
 from operator import ne
+from operator import sub
 
 from msg_defs.diagnostics import Level
+from msg_defs.nanoseconds import NS_PER_S
 from servobus.bus import evidence as ev
 from servobus.bus import report as words
 from servobus.bus.report import DeviceReport
+from servobus.bus.table import Observed
 from servobus.doctor.case import Case
 from servobus.doctor.case import Sample
 from servobus.doctor.case import SIGN_BIT
@@ -44,6 +47,7 @@ from servobus.doctor.thresholds import WINDOW_S
 NEAR_DEGREES = 5.0                 # to its limit: a load that goes on brings it there
 NEAR_VOLTS = 0.3                   # to a limit: a motion takes it there
 WATCHDOG_TRIPPED = (0xFF, -1)
+WATCHDOG_UNIT_S = 0.02             # of Bus Watchdog (e-Manual)
 EDGE_STEPS = 1024                  # so near the ends of a turn it may jump across
 GOAL_BYTES = 2                     # with four a position does not end at a turn
 VALUE_FRESH_S = 3.0                # loops send and read several times a second: it is of now
@@ -136,11 +140,28 @@ def watchdog(case: Case, device: DeviceReport) -> Found | None:
                   for one in case.incidents(ev.REFUSED, device))
     tripped = seen.source == 'r' and seen.value.raw in WATCHDOG_TRIPPED
     if not tripped and not (refused >= INCIDENTS_MIN and seen.value.raw):
-        return None
+        return _watchdog_outlasted(case, seen)
     return Claim(f'Bus Watchdog tripped, {refused} goals refused: the master was '
                  'silent too long; write 0 to Bus Watchdog, then send goals without such gaps',
                  {'goals refused': refused, 'read': 'yes' if tripped else 'no'},
                  rests_on=('Bus Watchdog',) if tripped else ())
+
+
+def _watchdog_outlasted(case: Case, seen: Observed) -> Claim | None:
+    """Look for a pause that was longer than the Bus Watchdog, which nothing has cleared since."""
+    limit_s, since = WATCHDOG_UNIT_S * seen.value.raw, case.stamp_ago(seen.age_s)
+    pauses = [(stamp - period, stamp) for stamp, period in case.loop
+              if period > limit_s * NS_PER_S > 0 and stamp - period > since]
+    stamps = [stamp for cycle in case.cycles for stamp in cycle.stamps] if pauses else []
+    for begin, end in pauses:
+        known = [begin, *sorted(stamp for stamp in stamps if begin < stamp < end), end]
+        pause_s = max(map(sub, known[1:], known)) / NS_PER_S
+        if pause_s > limit_s:
+            return Claim(f'its Bus Watchdog of {1000 * limit_s:.0f} ms is shorter than a pause of '
+                         f'the master of {pause_s:.1f} s: it stopped then, and takes no goals '
+                         'until Bus Watchdog is set to 0; send goals without such gaps',
+                         {'pause (s)': f'{pause_s:.2f}'})
+    return None
 
 
 def _is_goal(device: DeviceReport, address: int) -> bool:

@@ -93,6 +93,7 @@ TEXT_MIN_SHARE = 0.7               # share of the noise; bytes at a wrong rate h
 WORDS_MIN_SHARE = 0.3              # share of a text that is letters and digits; JSON has few
 TEXT_SHOWN = 24                    # characters
 FOLLOW_S = 1.0                     # a program sets its own rate after that of a servo
+TEXT_ONLY_MIN_WAITS = 10           # for answers that do not come after it
 BOOT_S = 2.0                       # a board starts when its port is opened, and prints so long
 COMMON_RATES = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
 RATE_MIN_HEADERS = 3
@@ -219,9 +220,12 @@ def text(case: Case) -> Claims:
         yield Claim(f'{seen} while the board starts: wait 2 s after opening the port; if text '
                     'still comes then, switch the board to pass-through',
                     {}, Level.WARN)
-    else:
+    elif len(case.report.waits) < TEXT_ONLY_MIN_WAITS or answers:
         yield Doubt(f'{seen} at first: if servos with power do not answer later, the board passes '
                     'nothing on')
+    else:
+        yield Claim(f'{seen} at first, and then nothing: the board passes nothing on to the '
+                    'servos (switch it to pass-through), or they have no power')
 
 
 @lru_cache(maxsize=1)              # it is asked at each report
@@ -473,7 +477,8 @@ def echo(case: Case) -> Claims:
             if not case.failed and answered >= heard_back - lost \
                     and lost <= ECHO_SKIPPED_MAX_LOST * heard_back \
                     and not case.count(ev.STALE) + case.count(ev.TAKEN_FOR):
-                yield Claim('the adapter echoes, and the program skips that: answers come',
+                yield Claim('the adapter echoes, and answers come after that: all is well if the '
+                            'program skips what it sent; else it reads that as answers',
                             {'echoes': heard_back}, Level.OK)
                 return
             yield Claim('the master receives what it sends: its adapter echoes; switch the '

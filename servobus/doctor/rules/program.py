@@ -534,8 +534,8 @@ def no_acks(case: Case, device: DeviceReport) -> Found | None:
         return None                            # it answers nothing at present
     are_missing = device.acks_missing >= ACKS_MISSING_MIN
     unanswered = case.count(ev.ACKS_STOPPED, device) or are_missing
-    if device.acks and not are_missing:
-        return None                            # it does again: some were lost
+    if (device.acks and not are_missing) or device.window.spoilt >= INCIDENTS_MIN:
+        return None                            # it does again, or they came damaged
     if not (has_ended or unanswered or device.status_return_level in (0, 1)):
         return None
     shift = -1 if case.report.protocol == FEETECH.name else 0     # its 0 and 1 are 1 and 2 here
