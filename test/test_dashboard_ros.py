@@ -134,7 +134,7 @@ class Finder:
             os.kill(os.getpid(), signal.SIGINT)
 
 sys.meta_path.insert(0, Finder)
-sys.exit(serve.main(['--port', '0']))
+sys.exit(ros_server.main(['--port', '0']))
 """
 
 

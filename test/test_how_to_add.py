@@ -212,7 +212,7 @@ def test_a_value_in_a_status(copy):
         "        'Missed in a Row':", '        keys.ERRORS: len(device.errors),\n'))
     code.change('docs/generate.py', (
         "    'Missed in a Row': ", "    'Kinds of Errors': 'refused so far',\n"))
-    code.change('msg_defs/status_keys.py', ('NOT_OBSERVED =', "ERRORS = 'Kinds of Errors'\n"),
+    code.change('msg_defs/status_keys.py', ('UNOBSERVED_FIELDS =', "ERRORS = 'Kinds of Errors'\n"),
                 ("           Figure('latency'",
                  "           Figure('errors', ERRORS, 'Errors', 'Kinds of errors', 0),\n"))
     assert 'diagnostics.md' in code.run('-m', 'docs.generate')

@@ -290,7 +290,7 @@ def test_a_recording_is_played_stopped_and_moved(tmp_path):
         page = browser.new_page()
         page.goto(address)
         bar = page.locator('.buses .buses .bar')
-        bar.filter(has_text='6/6').wait_for()
+        bar.filter(has_text='6 of 6').wait_for()
         page.locator('#player option', has_text='no answer').wait_for(state='attached')
         page.get_by_label('Go to a finding').select_option(index=1)
         bar.filter(has_text=re.compile('003 silent')).wait_for()
@@ -298,7 +298,7 @@ def test_a_recording_is_played_stopped_and_moved(tmp_path):
         slider = page.get_by_label('Time in the recording')
         assert 19 < float(slider.input_value()) < 24
         slider.fill('10')
-        bar.filter(has_text='6/6').wait_for()
+        bar.filter(has_text='6 of 6').wait_for()
         assert page.locator('.servo[data-state=ok]').count() == 6
         page.get_by_role('link', name='Signals').click()        # stopped, yet it has the past
         page.locator('.legend', has_text=re.compile(r'(29|30) /s')).wait_for()
