@@ -198,13 +198,18 @@ def text(case: Case) -> Claims:
     answers = any(device.window.answers for device in devices)
     # Some answer by now: those that were asked while it started, and not again, did not.
     was_late = any(device.window.spoilt and not device.totals.answers for device in devices)
-    if (answers and not was_late) or not (first := first_words(noise)):
+    is_between = answers and not was_late              # then it spoils some of them
+    if (is_between and case.spoilt < INCIDENTS_MIN) or not (first := first_words(noise)):
         return
     since = min(WINDOW_S, case.heard_s - BOOT_S)
     goes_on = since > 0 and case.increase_of('bytes', since) \
         - case.increase_of('packet_bytes', since) >= TEXT_MIN_BYTES
     seen = f'text {"comes back" if case.has_sides else "is on the bus"} (`{first}`)'
-    if _MODEM.search(noise):
+    if is_between:
+        if goes_on:
+            yield Claim(f'{seen} between the answers, and spoils some: a board on the way prints '
+                        'it; switch its debug output off', level=Level.WARN)
+    elif _MODEM.search(noise):
         yield Claim(f'{seen}, the commands of a modem: ModemManager or another program uses the '
                     'port; stop it')
     elif len(_NMEA.findall(noise)) > 1:

@@ -313,7 +313,8 @@ def impossible_id(case: Case) -> Claims:
             return
 
 
-@Rule(subject='bus')
+@Rule(subject='bus',
+      accounts_for={'refused value', 'joint at rest'})       # its goals do not arrive
 def unstuffed(case: Case) -> Claims:
     """
     `FF FF FD` in the data without the extra `FD`.
