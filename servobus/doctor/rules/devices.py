@@ -47,7 +47,7 @@ from servobus.doctor.thresholds import WINDOW_S
 NEAR_DEGREES = 5.0                 # to its limit: a load that goes on brings it there
 NEAR_VOLTS = 0.3                   # to a limit: a motion takes it there
 WATCHDOG_TRIPPED = (0xFF, -1)
-WATCHDOG_UNIT_S = 0.02             # of Bus Watchdog (e-Manual)
+WATCHDOG_UNIT_S = 0.02             # what Bus Watchdog counts in (e-Manual)
 EDGE_STEPS = 1024                  # so near the ends of a turn it may jump across
 GOAL_BYTES = 2                     # with four a position does not end at a turn
 VALUE_FRESH_S = 3.0                # loops send and read several times a second: it is of now
